@@ -21,7 +21,7 @@ import numpy as np
 from trms_cli.code_generation.observer_source import template
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Delay
 from trms_cli.controllers.fallback import end_of_run
-from trms_cli.controllers.newton import engine
+from trms_cli.controllers.newton import engine, source
 from trms_cli.controllers.newton.engine import EngineContext, EngineLibrary
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.c_source import with_prefix
@@ -165,7 +165,7 @@ def _built(export: ExportFolder) -> Path:
         file: read_bytes(export.path / file, _LARGEST_SOURCE).decode("utf-8")
         for file in (f"{name}.c", f"{name}.h")
     }
-    calls = engine.template("driver.c") + template("drive_observer.c")
+    calls = source.template("driver.c") + template("drive_observer.c")
     driver = with_prefix(f'{engine.CLOCK}#include "{name}.c"\n' + calls, name)
 
     def write(folder: Path) -> Path:

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import inspect
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -22,16 +23,8 @@ import numpy as np
 
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Prediction, Status
 from trms_cli.controllers.fallback import NOT_FINITE, end_of_run
+from trms_cli.controllers.newton import source
 from trms_cli.controllers.newton.problem import NewtonProblem
-from trms_cli.controllers.newton.source import (
-    PARTS,
-    functions_of,
-    newton_source,
-    settings,
-    sizes_of,
-    tables,
-    template,
-)
 from trms_cli.controllers.newton.state import NO_REGION, target_words
 from trms_cli.core import c_source
 from trms_cli.core.arrays import FloatArray, IntArray
@@ -51,7 +44,7 @@ REASONS = (  # in the order of mpc_reason
 #: Numbers that a step says of itself, in the order of driver.c.
 _WORDS = 13
 _NAME = "newton_engine"
-_TEMPLATES = ("newton_mpc.h", *PARTS, "driver.c")
+_TEMPLATES = ("newton_mpc.h", *source.PARTS, "driver.c")
 #: For programs that call the source from outside: the time, where there is such a clock.
 CLOCK = """\
 #define _POSIX_C_SOURCE 200809L
@@ -137,9 +130,9 @@ class EngineContext:
         self._x[:], self._w[:] = estimate.x, estimate.disturbance
         self._reference[...], self._before[:] = sample.reference, sample.previous_command
         status = STATUS[self._call()]
-        said = self._words.tolist()
-        acting, reason, iterations, objective, violation, terminal = said[:6]
-        kkt, is_projected, is_held, linearise_time, qp_time, _, has_no_region = said[6:]
+        values = self._words.tolist()
+        acting, reason, iterations, objective, violation, terminal = values[:6]
+        kkt, is_projected, is_held, linearise_time, qp_time, _, has_no_region = values[6:]
         fallback = FALLBACKS[int(acting)]
         if status is Status.FAILED:
             words = [REASONS[int(reason)]]
@@ -191,7 +184,7 @@ class NewtonEngine:
         path = _built(problem, preview)
         if path is None:
             return None
-        content = c_source.struct_content(settings(problem))
+        content = c_source.struct_content(source.settings(problem))
         return cls(problem, EngineContext(_library(path), setup.first_command, content))
 
     def step(self, sample: ControlSample, *, want_prediction: bool) -> Command:
@@ -219,10 +212,10 @@ def _built(problem: NewtonProblem, preview: int) -> Path | None:
     """The library in the cache, compiled if need be; None where that cannot be done."""
 
     def write(folder: Path) -> Path:
-        source = newton_source(problem, preview, "mpc", "newton_mpc", with_values=False)
-        (folder / "mpc.h").write_text(source.header, encoding="utf-8")
+        c = source.newton_source(problem, preview, "mpc", "newton_mpc", with_values=False)
+        (folder / "mpc.h").write_text(c.header, encoding="utf-8")
         file = folder / f"{_NAME}.c"
-        file.write_text(CLOCK + source.source + template("driver.c"), encoding="utf-8")
+        file.write_text(CLOCK + c.source + source.template("driver.c"), encoding="utf-8")
         return file
 
     content = _content(problem, preview)
@@ -237,16 +230,16 @@ def _built(problem: NewtonProblem, preview: int) -> Path | None:
 
 def _content(problem: NewtonProblem, preview: int) -> tuple[str, ...]:
     """All that the source follows from."""
-    fields: Mapping[str, str] = {field.declaration: field.comment for field in settings(problem)}
+    fields = [(field.declaration, field.comment) for field in source.settings(problem)]
     return (
-        *(function.serialize() for function in functions_of(problem).values()),
-        repr(sizes_of(problem, preview)),
-        tables(problem),
+        *(function.serialize() for function in source.functions_of(problem).values()),
+        repr(source.sizes_of(problem, preview)),
+        source.tables(problem),
         repr(fields),
         repr(problem.discrete.step_length),
         CLOCK,
-        Path(c_source.__file__).read_text(encoding="utf-8"),
-        *map(template, _TEMPLATES),
+        *map(inspect.getsource, (c_source, source)),
+        *map(source.template, _TEMPLATES),
     )
 
 
