@@ -165,6 +165,12 @@ def _built(export: ExportFolder) -> Path:
         file: read_bytes(export.path / file, _LARGEST_SOURCE).decode("utf-8")
         for file in (f"{name}.c", f"{name}.h")
     }
+    if f"static void {name}_start(" not in text[f"{name}.c"]:
+        raise ConfigurationError(
+            f"{name}.c was exported by a former version of trms",
+            where="--exported",
+            remedy="export it again: the command stands in its README.md",
+        )
     calls = source.template("driver.c") + template("drive_observer.c")
     driver = with_prefix(f'{engine.CLOCK}#include "{name}.c"\n' + calls, name)
 
