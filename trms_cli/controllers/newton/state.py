@@ -178,8 +178,8 @@ class NewtonMpcState:
         if not foreseen and (
             previous_target is None or target.reference != previous_target.reference
         ):
-            # A new reference may lie behind a point where the linearisation sees no way to it
-            # (a tail rotor at rest has no thrust slope), or where a local minimum lies.
+            # It may lie behind a point where the linearisation sees no way to it: a tail rotor at
+            # rest has no thrust slope. Taken only where the plan is stuck there.
             self.other_start = np.broadcast_to(steady, newton.plan.shape)
 
     def _target_for(self, reference: FloatArray) -> Target:
