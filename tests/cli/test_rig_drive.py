@@ -200,3 +200,12 @@ def test_without_a_compiler_and_with_a_source_that_is_spoilt(refused, small, tmp
         compiler.cache_clear()
     (folder / "rig.c").unlink()
     refused(*words, words="rig.c is missing")
+
+
+@needs_compiler
+def test_what_a_former_version_exported_is_refused_in_words(refused, small, tmp_path):
+    folder = shutil.copytree(small, tmp_path / "former")
+    source = (folder / "rig.c").read_text()
+    (folder / "rig.c").write_text(source.replace("rig_start(", "rig_init_with("))
+    words = ("rig", "drive", "--exported", str(folder), "plant=simulated", "sim.duration=1")
+    refused(*words, words=["a former version", "export it again"])
