@@ -61,6 +61,20 @@ static void mpc_advance(mpc_ctx *c, const double *x, const double *u, const doub
     mpc_model_step(arguments, results, c->iw, c->work, 0);
 }
 
+/* What is remembered of past commands, as after a long time at one: a state's last entries. */
+static void mpc_settle_memory(mpc_ctx *c, double *full, const double *u, int most) {
+    static const double still[MPC_ROOM(MPC_N_W)] = {0};
+    int i, k, settled = MPC_N_FULL == MPC_N_X;
+    for (k = 0; k < most && !settled; k++) {
+        mpc_advance(c, full, u, still, c->stage_next);
+        settled = 1;
+        for (i = MPC_N_X; i < MPC_N_FULL; i++) {
+            if (c->stage_next[i] != full[i]) settled = 0;
+            full[i] = c->stage_next[i];
+        }
+    }
+}
+
 /* The same with its slopes (column after column) in x and u. */
 static void mpc_advance_with_slopes(mpc_ctx *c, const double *x, const double *u) {
     const double *arguments[MPC_ROOM(MPC_SLOPES_ARG)];

@@ -316,21 +316,12 @@ static mpc_status mpc_fall_back(const mpc_ctx *c, mpc_reason reason, double *u, 
 
 /* A controller whose settings are there. */
 static void mpc_start(mpc_ctx *c, const double *u_first) {
-    static const double still[MPC_ROOM(MPC_N_W)] = {0};
-    int i, k, settled;
+    int i;
     c->first = 1;
     c->target_is_held = 1;
     for (i = 0; i < MPC_N_U; i++) c->last_u[i] = isfinite(u_first[i]) ? u_first[i] : 0;
     for (i = 0; i < MPC_N_FULL; i++) c->full[i] = c->settings.full_rest[i];
-    /* What is remembered of past commands, as after a long time at the first one. */
-    for (k = 0, settled = MPC_N_FULL == MPC_N_X; k < 100000 && !settled; k++) {
-        mpc_advance(c, c->full, c->last_u, still, c->stage_next);
-        settled = 1;
-        for (i = MPC_N_X; i < MPC_N_FULL; i++) {
-            if (c->stage_next[i] != c->full[i]) settled = 0;
-            c->full[i] = c->stage_next[i];
-        }
-    }
+    mpc_settle_memory(c, c->full, c->last_u, 100000);
 }
 
 void mpc_init_at(mpc_ctx *c, const double *u_first) {

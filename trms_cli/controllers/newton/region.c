@@ -471,7 +471,7 @@ static void mpc_rg_choose(mpc_ctx *c) {
     const mpc_settings *s = &c->settings;
     double cell[MPC_N_X + MPC_N_U];
     mpc_region *region = &c->region;
-    int i, k, settled;
+    int i, k;
     for (i = 0; i < MPC_N_X; i++)
         cell[i] = 0.0 + nearbyint(c->target.x[i] / (REGION_CELL * s->scale[i])); /* no -0 */
     for (i = 0; i < MPC_N_U; i++)
@@ -481,15 +481,7 @@ static void mpc_rg_choose(mpc_ctx *c) {
     memset(region->centre, 0, sizeof region->centre);
     for (i = 0; i < MPC_N_X; i++) region->centre[i] = c->target.x[i];
     for (i = 0; i < MPC_N_U; i++) region->centre[MPC_N_FULL + i] = c->target.u[i];
-    for (k = 0, settled = MPC_N_FULL == MPC_N_X; k < 1000 && !settled; k++) {
-        static const double still[MPC_ROOM(MPC_N_W)] = {0};
-        mpc_advance(c, region->centre, c->target.u, still, c->stage_next);
-        settled = 1;
-        for (i = MPC_N_X; i < MPC_N_FULL; i++) {
-            if (c->stage_next[i] != region->centre[i]) settled = 0;
-            region->centre[i] = c->stage_next[i];
-        }
-    }
+    mpc_settle_memory(c, region->centre, c->target.u, 1000);
     for (k = 0; k < c->n_regions; k++) {
         mpc_known_region *known = c->regions + k;
         if (memcmp(known->cell, cell, sizeof cell) != 0) continue;
