@@ -115,7 +115,9 @@ def _every_effect(arguments: argparse.Namespace) -> int:
     begin, out = process_time(), arguments.out / "every_effect"
     seeds = range(arguments.seeds)
     runs = study.compare_effects(chosen, controllers, references, seeds, out, _tell)
-    tables = study.tables(study.comparisons(runs))
+    comparisons = study.comparisons(runs)
+    worse = dict.fromkeys(result.effect for result in comparisons if result.is_worse)
+    tables = study.tables(comparisons, study.warned_of(list(worse), _tell))
     _tell("")
     print_tables(tables, width=140)
     if arguments.publish:

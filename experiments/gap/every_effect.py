@@ -9,7 +9,7 @@ and finds the controllers and references that a better model makes worse.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.extended_model import extend_model
+from trms_cli.gap import worth
 from trms_cli.library.tasks.experiment import experiment_of
 from trms_cli.plants.plant import PlantRun
 from trms_cli.simulation.closed_loop import Experiment, Loop
@@ -210,10 +211,41 @@ def _ratio(
     return float(np.exp(mean)), (float(np.exp(mean - half)), float(np.exp(mean + half)))
 
 
-def tables(results: Sequence[Comparison]) -> dict[str, list[list[str]]]:
-    """Those that are worse, and a line for each controller and reference."""
+def warned_of(effects: Sequence[str], report: Report) -> set[tuple[str, str, str]]:
+    """Of which loops ``trms diagnose`` warns: effect, controller and reference.
+
+    As it judges a correction: the corrected model is the rig, on the references of its default
+    sine. Of squares those where the beam rests count, too.
+    """
+    warned = set()
+    for k, effect in enumerate(effects, start=1):
+        report(f"{k} of {len(effects)}: the loops of a diagnosis that names {effect}")
+        loops = {}
+        for controller in worth.JUDGED_CONTROLLERS:
+            references = worth.judged_references(["ref=sine"], controller)
+            for name, words in references.items():
+                words = [f"effect=[{effect}]", f"controller={controller}", *words]
+                words += [f"sim.duration={worth.DURATION:g}", "picture=false"]
+                experiment = experiment_of(compose(words).config)
+                nominal, rig = experiment.model, experiment.plant
+                corrected = extend_model(nominal, rig.effects)  # type: ignore[attr-defined]
+                loops[controller, name] = replace(experiment, model=corrected)
+        for gain in worth.loops_of(loops, nominal):
+            if gain.is_worse:
+                reference = {"rest": "square"}.get(gain.reference, gain.reference)
+                warned.add((effect, gain.controller, reference.replace("_", " ")))
+    return warned
+
+
+def tables(
+    results: Sequence[Comparison], warned: Collection[tuple[str, str, str]]
+) -> dict[str, list[list[str]]]:
+    """Those that are worse, and a line for each controller and reference.
+
+    ``warned``: of which loops a diagnosis warns (:func:`warned_of`).
+    """
     worse = [result for result in results if result.is_worse]
-    return {"every_effect": _summary(results), "every_effect_worse": _table(worse)}
+    return {"every_effect": _summary(results), "every_effect_worse": _table(worse, warned)}
 
 
 def _summary(results: Sequence[Comparison]) -> list[list[str]]:
@@ -229,10 +261,12 @@ def _summary(results: Sequence[Comparison]) -> list[list[str]]:
     return rows
 
 
-def _table(results: Sequence[Comparison]) -> list[list[str]]:
+def _table(
+    results: Sequence[Comparison], warned: Collection[tuple[str, str, str]]
+) -> list[list[str]]:
     """Comparisons as rows, the worst first."""
     head = ["effect", "controller", "reference", "error, nominal → corrected [mrad]"]
-    head += ["ratio", "holding [mrad]", "ratio", "seeds"]
+    head += ["ratio", "holding [mrad]", "ratio", "seeds", "a diagnosis warns"]
     rows = [head]
     for r in sorted(results, key=lambda r: -r.ratio if np.isfinite(r.ratio) else -np.inf):
         low, high = r.ratio_interval
@@ -242,5 +276,6 @@ def _table(results: Sequence[Comparison]) -> list[list[str]]:
         held_ratio = f"{r.holding_ratio:.2f}" if is_held else "–"
         error = f"{1e3 * r.error[0]:.1f} → {1e3 * r.error[1]:.1f}"
         first = [f"`{r.effect}`", r.controller, r.reference, error, f"{r.ratio:.3f}{spread}"]
-        rows.append([*first, holding, held_ratio, str(r.seeds)])
+        warns = "yes" if (r.effect, r.controller, r.reference) in warned else "no"
+        rows.append([*first, holding, held_ratio, str(r.seeds), warns])
     return rows

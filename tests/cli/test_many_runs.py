@@ -88,6 +88,7 @@ def test_a_rig_that_differs_in_numbers_shares_its_equations(
     run_in(tmp_path / "changed", "plant.parameters.k_g=0.05", "ref=sine")
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_runs(tmp_path: Path) -> None:
     base = compose([*_SHORT, "sim.duration=0.4"])
 

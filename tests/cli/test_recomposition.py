@@ -62,6 +62,7 @@ def known() -> Composer:
     return Composer("run")
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(data=st.data())
 def test_equals_composing_afresh(known, data):

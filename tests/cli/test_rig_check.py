@@ -98,6 +98,7 @@ def typed(screen: Any, *answers: tuple[str, str]) -> None:
         screen.type(f"{answer}\n".encode())
 
 
+@pytest.mark.slow
 def test_a_person_is_led_through_zero_and_signs(in_terminal, served, tail, tmp_path):
     screen = in_terminal(
         *("rig", "check", served[1], *tail, "pulse=0.6", "out=lab/wiring/turned.yaml"),
@@ -136,6 +137,7 @@ def test_without_its_heartbeat_it_is_not_pulsed(in_terminal, served, tail):
     assert "armed" not in rest_of(served)
 
 
+@pytest.mark.slow
 def test_ctrl_c_amid_a_pulse_lands_the_rig(in_terminal, served, tail):
     words = ("rig", "check", served[1], *tail, "pulse=0.6", "pulse_time=30")
     screen = in_terminal(*words, size=(60, 120))

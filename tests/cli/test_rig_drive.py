@@ -97,6 +97,7 @@ def test_a_reference_out_of_reach_and_a_landing_are_as_in_python(trms, small, tm
         assert (mine["mode"] == its["mode"]).all()
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_over_a_wire_it_connects_arms_drives_lands_and_disarms(trms, started, whole, tmp_path):
     """By the clock: order and landing alone; how fast this machine is has no say."""

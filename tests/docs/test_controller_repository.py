@@ -46,6 +46,7 @@ def steps() -> list[str]:
     return runs[1:]
 
 
+@pytest.mark.slow
 def test_the_steps_pass_where_nothing_has_changed(repository):
     for step in steps():
         done = bash(step, repository)
@@ -54,6 +55,7 @@ def test_the_steps_pass_where_nothing_has_changed(repository):
         assert (repository / "tracking" / "runs" / reference / "report.html").is_file()
 
 
+@pytest.mark.slow
 def test_a_worse_controller_fails(repository, tmp_path):
     changed = shutil.copytree(repository, tmp_path / "mine")
     option = changed / "configs" / "controller" / "my_cascade.yaml"

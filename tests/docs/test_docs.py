@@ -29,7 +29,8 @@ TYPED = ["README.md", "docs/getting-started.md", "docs/tutorial.md", "docs/writi
 WHOLE = ["docs/recordings.md", "docs/excitation.md"]
 TYPED += WHOLE
 #: What others of them type in much the same words.
-LONG = {"docs/getting-started.md", "docs/how-to/real-time-export.md"}
+LONG = {"README.md", "docs/tutorial.md", "docs/getting-started.md"}
+LONG |= {"docs/how-to/own-driver.md", "docs/how-to/real-time-export.md"}
 TYPED += sorted(page.relative_to(ROOT).as_posix() for page in ROOT.glob("docs/how-to/*.md"))
 PAGES = sorted(
     page

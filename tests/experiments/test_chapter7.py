@@ -88,6 +88,7 @@ class TestFigures:
 
 
 class TestObservers:
+    @pytest.mark.slow
     def test_every_observer_gets_the_same_record(self):
         study = read_observer_study()
         job = Job("short", 1, (*study.maker, "ref=square", "sim.duration=6"), ("estimated",))

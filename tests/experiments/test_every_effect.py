@@ -45,6 +45,8 @@ def test_ratios_have_an_interval_over_seeds_and_the_worse_are_told() -> None:
     assert low < 1.1 and high > 1.12
     (better,) = comparisons(_runs([0.1], [0.09]))
     assert not better.is_worse and np.isnan(better.ratio_interval[0])
-    rows = tables([one, better])
+    rows = tables([one, better], {("effect", "pid", "square")})
     assert [row[0] for row in rows["every_effect_worse"]] == ["effect", "`effect`"]
     assert rows["every_effect"][1][-1] == "1"
+    assert [row[-1] for row in rows["every_effect_worse"]] == ["a diagnosis warns", "yes"]
+    assert tables([one], ())["every_effect_worse"][1][-1] == "no"

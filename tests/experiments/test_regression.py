@@ -50,6 +50,7 @@ def with_rmse(outcome: Outcome, change: float) -> Outcome:
 
 
 class TestMatrix:
+    @pytest.mark.slow
     def test_every_case_composes(self) -> None:
         cases = read_matrix()
         assert len({case.name for case in cases}) == len(cases) >= 18

@@ -25,6 +25,7 @@ def demonstrated(folder: Path, *argv: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_the_rig_is_driven_watched_and_landed(tmp_path: Path) -> None:
     told = demonstrated(tmp_path / "demo", "controller=pid")
     assert told.splitlines()[-1] == f"driven and landed: {tmp_path / 'demo'}"

@@ -110,6 +110,7 @@ def test_the_stop_button_keeps_it_from_being_armed(board):
     assert not ask(line, Kind.READ, 5).status & RigStatus.ARMED
 
 
+@pytest.mark.slow
 def test_a_run_drives_it_over_the_serial_line(board, tmp_path):
     words = ["run", "plant=serial", f"plant.port={os.ttyname(board.end)}", "plant.arm=true"]
     # it hangs at count 0: the wiring says where that is

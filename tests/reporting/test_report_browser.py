@@ -212,6 +212,7 @@ def test_plots_of_two_dimensions_need_no_more_than_the_policy_allows(opened, kin
     assert shown.fetched == shown.messages == []
 
 
+@pytest.mark.slow
 def test_hostile_text_runs_nothing(opened, run, sweep):
     command = run.tables["/command"]
     tables = {topic: run.tables[topic] for topic in ("/prediction",)} | {

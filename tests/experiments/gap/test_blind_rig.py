@@ -175,6 +175,7 @@ def test_the_same_seed_gives_the_same_recording_with_small_nuisances_and_whole_q
         np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_controller_follows() -> None:
     references = np.tile([-0.2, 0.4], (1, 400, 1))
     rigs = Rigs(nominals(1), {}, Nuisances(), 1)

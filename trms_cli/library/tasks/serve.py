@@ -53,8 +53,11 @@ def perform(composition: Composition) -> int:
     rig = ServedRig(truth or run, values["step"], values["watchdog"], landing.safe, _say)
     listener = PseudoTerminal() if config["serial"] else UdpListener(str(config["host"]), port)
     server = RigServer(rig, listener, nuisances, seed)
-    _say(0.0, f"a rig is served: {program()} run {listener.address}")
-    _say(0.0, f"for {values['duration']:g} s, whoever drives it then (duration=…), or until Ctrl-C")
+    _say(
+        0.0,
+        f"a rig is served for {values['duration']:g} s (duration=…): "
+        f"{program()} run {listener.address}",
+    )
     try:
         with StopRequest() as stop, undisturbed():
             server.serve(values["duration"], values["step"], lambda: stop.requests > 0)
