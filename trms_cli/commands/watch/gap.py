@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import textwrap
 import time
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 #: s of wall time that the log is read for between two pictures, and waited for between two looks.
 _BUDGET, _PAUSE = 0.08, 0.2
 _BAR = 40  # characters of the statistic's bar
+_INDENT = 12  # characters of a time, beside which an alarm's words are wrapped
 
 
 def show_gap(replay: GapReplay, *, as_json: bool, plain: bool) -> None:
@@ -84,12 +86,24 @@ class GapScreen:
         lines = [Text(f"gap watch · model {replay.model or '…'} · {replay.path}", style="bold")]
         lines += [Text(summary_of(replay)), self._bar(), Text("")]
         room = max(1, height - len(lines) - 1)
-        lines += [Text(line_of(alarm), style="red") for alarm in replay.alarms[-room:]]
+        lines += self._alarms(width, room)
         if keys and not replay.has_ended:
             lines.append(Text("q  quit", style="dim"))
         for line in lines:
             line.truncate(width, overflow="ellipsis")
         return lines
+
+    def _alarms(self, width: int, room: int) -> list[Text]:
+        """The latest alarms that there is room for, whole: what an alarm says is seldom a line."""
+        lines: list[str] = []
+        for alarm in reversed(self._replay.alarms):
+            wrapped = textwrap.wrap(
+                line_of(alarm), max(width, 2 * _INDENT), subsequent_indent=" " * _INDENT
+            )
+            if lines and len(lines) + len(wrapped) > room:
+                break
+            lines[:0] = wrapped
+        return [Text(line, style="red") for line in lines]
 
     def _bar(self) -> Text:
         """The statistic against its threshold."""
