@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from trms_cli.composition.composer import compose
+from trms_cli.core.plugins import build
 from trms_cli.scoring import metrics
 from trms_cli.scoring.metrics import (
     LAGS,
@@ -200,6 +202,62 @@ def test_references_that_only_move_have_no_steps(kind):
     at_rest = bool(holds(time, reference))
     error = steady_state_error(time, reference, np.zeros(time.size))
     assert math.isnan(error) != at_rest
+
+
+#: Steps of pitch in a minute from a rest at −0.62 rad, by what configs/signal says of each.
+STEPS_OF_A_MINUTE = {
+    "constant": 1,  # the rise from rest
+    "square": 3,  # the rise, and edges at 20 and 40 s
+    "per_axis": 3,
+    "step": 1,  # at 1 s; what the reference waits for until then is no step
+    "schedule": 1,  # at 1 s; a sine from 20 s on
+    "ramp": 0,
+    "sawtooth": 0,
+    "sine": 0,
+    "chirp": 0,
+    "multisine": 0,
+    "sum": 0,
+    "prbs": None,  # one where two bits differ; counted from the sequence
+    "multilevel": None,
+}
+LAG, BIAS = 0.1, 0.004  # s, rad
+
+
+@pytest.mark.parametrize("kind", STEPS_OF_A_MINUTE)
+def test_references_of_all_kinds_score_as_a_lag_with_a_bias(kind):
+    time = np.arange(0, 60, 0.002)
+    signal = build(compose([f"ref={kind}"]).config["ref"], "ref").alpha_v
+    reference = np.asarray(signal.sample(time))
+    keep = math.exp(-0.002 / LAG)
+    start, response = -0.62, np.empty_like(reference)
+    response[0] = start
+    for k in range(time.size - 1):
+        response[k + 1] = keep * response[k] + (1 - keep) * reference[k]
+    scored = steps(time, reference, response)
+    count = STEPS_OF_A_MINUTE[kind]
+    if count is None:
+        judged = time[1:] < 59.0  # what is held for less than a second is no hold
+        count = 1 + np.count_nonzero((np.abs(np.diff(reference)) > 1e-9) & judged)
+    assert len(scored) == count
+    for step in scored:
+        assert step.overshoot_percent == pytest.approx(0.0, abs=0.1)
+        assert step.rise_time == pytest.approx(LAG * math.log(9), abs=3e-3)
+        assert step.settling_time == pytest.approx(LAG * math.log(50), abs=5e-3)
+    steady = steady_state_error(time, reference, response + BIAS)
+    rests = count > 0 or kind == "ramp"
+    assert steady == pytest.approx(BIAS, abs=1e-4) if rests else math.isnan(steady)
+
+
+@pytest.mark.parametrize(("first", "is_step"), [(1.0, False), (9.9, False), (10.0, True)])
+def test_a_first_level_is_a_step_if_it_lasts_as_long_as_another_and_else_a_wait(first, is_step):
+    time = np.arange(0, first + 25, 0.01)
+    levels = [(time >= first + 15 - 1e-9), (time >= first - 1e-9)]  # held 10 and 15 s
+    reference = np.select(levels, [0.1, 0.3], -0.3)
+    response = np.where(levels[1], reference, -0.6)  # first at rest
+    assert len(holds(time, reference)) == 3
+    assert len(steps(time, reference, response)) == (3 if is_step else 2)
+    expected = 0.3 if is_step else 0.0
+    assert steady_state_error(time, reference, response) == pytest.approx(expected, abs=1e-9)
 
 
 def test_noise_and_the_end_of_a_coarse_ramp_are_no_steps():

@@ -8,6 +8,8 @@ computed is NaN; :mod:`trms_cli.scoring.score` turns it into null.
 Step responses: a *hold* is a stretch of at least ``MINIMUM_HOLD`` seconds in which the reference
 does not change. A *step* is a jump of the reference by at least ``SMALLEST_STEP`` from a value at
 rest to a hold; the begin of a run is one if the response is not where the first hold wants it.
+A first hold that is shorter than each that follows is none of this: the reference waits there for
+its first step while the rig still comes from its rest, and neither figure is of it.
 References that only move (sines, ramps, sawteeth, fast binary sequences, shaped steps) have no
 steps, and their step metrics do not exist. With several steps the figure of a run is that of its
 worst step: one bad step out of six is what a user of the rig would notice. The median over steps
@@ -196,10 +198,23 @@ def holds(time: Array, reference: Array) -> list[tuple[int, int]]:
     return list(zip(begins[long_enough].tolist(), ends[long_enough].tolist(), strict=True))
 
 
+def judged_holds(time: Array, reference: Array) -> list[tuple[int, int]]:
+    """The holds without the wait for the first step: a first one that is shorter than all others.
+
+    Of a reference that is 0 for one second and then steps, the rise of the beam from its rest is no
+    response to that 0.
+    """
+    stretches = holds(time, reference)
+    if len(stretches) < 2 or stretches[0][0] > 0:
+        return stretches
+    spans = [time[min(end, time.size - 1)] - time[begin] for begin, end in stretches]
+    return stretches[1:] if spans[0] < min(spans[1:]) - 1e-9 else stretches
+
+
 def steps(time: Array, reference: Array, response: Array) -> list[StepMetrics]:
     """Metrics of every step of the reference, in order; ``time``: (n,) s, the others (n,) rad."""
     results = []
-    for begin, end in holds(time, reference):
+    for begin, end in judged_holds(time, reference):
         origin = _origin(reference, response, begin)
         size = float(reference[begin]) - origin
         part = slice(begin, end)
@@ -213,10 +228,11 @@ def steps(time: Array, reference: Array, response: Array) -> list[StepMetrics]:
 def steady_state_error(time: Array, reference: Array, response: Array) -> float:
     """Largest magnitude, over the holds, of the mean error in the last fifth of the hold.
 
-    Of all holds, also those that no step led to; NaN if the reference never rests.
+    Of all holds but the wait for a first step (:func:`judged_holds`), also those that a ramp led
+    to; NaN if the reference never rests.
     """
     means = []
-    for begin, end in holds(time, reference):
+    for begin, end in judged_holds(time, reference):
         last = time[end - 1]
         late = time[begin:end] >= last - STEADY_PART * (last - time[begin])
         error = (reference[begin:end] - response[begin:end])[late]
