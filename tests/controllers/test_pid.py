@@ -15,6 +15,7 @@ from trms_cli.controllers.pid_feed_forward import (
     friction_torques,
     holding_torques,
     inverse,
+    is_rotor_before_axis,
     path_memories,
     rotor_lag,
     rotor_tables,
@@ -37,6 +38,7 @@ from trms_cli.effects.input_delay import InputDelay
 from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.steady_state import SteadyState
 
 from .closed_loop_case import SAMPLE_TIME, close_loop, sample_of, setup_of, squares, state_with
@@ -214,6 +216,8 @@ def test_the_inverse_of_a_rotor_before_an_axis_is_exact_and_the_coupling_undone(
     found = inverse([1 / np.polyval(wanted[::-1], s)], INVERTED)
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
     assert rotor_lag(found) == pytest.approx(0.4)
+    assert is_rotor_before_axis(found)
+    assert not is_rotor_before_axis(np.array([-2e-4, 5e-3, 8e-3, -2e-3]))  # a root at 4/s
     own = 1 / (0.06 * s**2 + 0.02 * s + 0.1)
     cross = own * 0.13 * s / (1 + 0.1 * s)
     other = 1 / (0.07 * s**2 + 0.01 * s + 0.15)
@@ -363,3 +367,19 @@ def test_a_level_that_takes_most_of_the_torque_is_reached(pitch: float) -> None:
         Pid(), BOTH, lambda time: np.broadcast_to([pitch, 0.5], (*np.shape(time), 2)), 30.0
     )
     assert trajectory.angles[-1, 0] == pytest.approx(pitch, abs=5e-3)
+
+
+def test_rotors_that_turn_both_axes_do_not_make_each_other_swing() -> None:
+    """The pitch loop bends yaw's response: its inverse had a lag of 1.7 s for a rotor of 0.1 s.
+
+    Leads of 24 then held both commands at their limits, and the axes swung by half a radian.
+    """
+    aero = QuanserAero()
+    points = ({"alpha_v": 0.2, "alpha_h": 0.0}, {"alpha_v": 0.4, "alpha_h": 0.0})
+    controller = Pid(operating_points=points)
+    axes = controller.init(setup_of(aero, SAMPLE_TIME)).axes
+    assert max(axis.lead for axis in axes) < 3.0
+    trajectory = close_loop(controller, aero, squares(aero), 40.0)
+    for angle, size in (("alpha_v", 0.6), ("alpha_h", 1.0)):
+        for level in trajectory.levels(angle):
+            assert np.abs(level[-250:]).max() < 0.1 * size

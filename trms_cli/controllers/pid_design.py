@@ -28,6 +28,7 @@ from trms_cli.controllers.pid_feed_forward import (
     decoupling,
     friction_torques,
     inverse,
+    is_rotor_before_axis,
     path_memories,
     rotor_lag,
     rotor_tables,
@@ -135,6 +136,10 @@ class PidDesign:
             plants = [AxisPlant(A, B[:, channel], C[row], step) for A, B, C in systems + springy]
             responses = _responses(systems, channel, row, step)
             polynomial = inverse(responses, INVERTED)
+            if not is_rotor_before_axis(polynomial):
+                # The loops that are closed have bent it; what they do then is left to the feedback.
+                responses = _responses(free, channel, row, step)
+                polynomial = inverse(responses, INVERTED)
             filters = self._filters(rotor_lag(polynomial))
             lead = terms(omega, step, filters)[0]
             own = [lead * response for response in _responses(free, channel, row, step)]

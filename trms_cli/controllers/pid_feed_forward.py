@@ -378,6 +378,16 @@ def inverse(responses: Sequence[ComplexArray], omega: FloatArray) -> FloatArray:
     return np.asarray(solution / scale)
 
 
+def is_rotor_before_axis(coefficients: FloatArray) -> bool:
+    """Whether an inverse is one of a lag before an axis with inertia and damping.
+
+    Such a one has its roots on the left but for the one or two of an axis that nothing pulls back,
+    which lie about 0. ``coefficients``: (4,) array, as of :func:`inverse`.
+    """
+    roots = np.roots(coefficients[::-1])
+    return bool(roots.size == 3 and roots.real.max() < INVERTED[0] / 2)
+
+
 def rotor_lag(coefficients: FloatArray) -> float:
     """Time constant of the real factor (1 + τ s) of the inverse, s; 0 if it has none.
 
