@@ -25,7 +25,7 @@ BOTH = Newtonian()
 BLOCKS = (1, 1, 1, 1, 2, 2, 4, 4, 8)
 PREDICTIVE: dict[str, Any] = {
     "newton_mpc": (NewtonMpc, {"prediction_horizon": 20, "max_iterations": 1, "qp": Daqp()}),
-    "linear_mpc": (LinearMpc, {}),
+    "linear_mpc": (LinearMpc, {"qp": Daqp()}),
     "nmpc": (Nmpc, {"prediction_horizon": 24, "move_blocks": BLOCKS, "machine_code": False}),
 }
 
@@ -54,7 +54,7 @@ def test_a_failed_solve_falls_back_as_declared(name, policy, monkeypatch) -> Non
     sample = sample_of(BOTH, [0.3, 0.5], u=np.array([1.0, -1.0]))
     law.step(state, sample, want_prediction=False)
     shared = getattr(state, "shared", state)
-    plan = (shared if name == "linear_mpc" else shared.newton).plan.copy()
+    plan = shared.newton.plan.copy()
     with monkeypatch.context() as patch:
         spoil(patch, state)
         if policy == "stop":

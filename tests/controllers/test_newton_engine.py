@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from trms_cli.controllers.controller import Command, ControlSample, Status
+from trms_cli.controllers.linear_mpc import LinearMpc, LinearMpcState
 from trms_cli.controllers.newton.engine import NewtonEngine
 from trms_cli.controllers.newton.state import NewtonMpcState
 from trms_cli.controllers.newton_mpc import NewtonMpc
@@ -21,7 +22,7 @@ from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 
-from .closed_loop_case import sample_of, setup_of
+from .closed_loop_case import sample_of, setup_of, state_with
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 #: V; what is left is rounding.
@@ -32,13 +33,18 @@ HORIZONTAL = Newtonian(freedom="horizontal")
 QUASI: dict[str, Any] = {"terminal": "quasi_infinite"}
 
 
-def pair(mpc: NewtonMpc, model: Model) -> tuple[NewtonEngine, NewtonMpcState]:
+Law = NewtonMpc | LinearMpc
+
+
+def pair(mpc: Law, model: Model) -> tuple[NewtonEngine, NewtonMpcState]:
     engine = mpc.init(setup_of(model, mpc.sample_time))
     assert isinstance(engine, NewtonEngine)
-    return engine, NewtonMpcState(mpc, setup_of(model, mpc.sample_time))
+    state = replace(mpc, qp=Daqp()).init(setup_of(model, mpc.sample_time))
+    assert isinstance(state, NewtonMpcState)
+    return engine, state
 
 
-def both(mpc: NewtonMpc, model: Model, seconds: float = 12.0) -> list[tuple[Command, Command]]:
+def both(mpc: Law, model: Model, seconds: float = 12.0) -> list[tuple[Command, Command]]:
     """Commands of engine and NumPy on the same samples of a loop that the engine closes."""
     engine, state = pair(mpc, model)
     discrete = discretise(model, mpc.sample_time, 5)
@@ -79,9 +85,33 @@ def both(mpc: NewtonMpc, model: Model, seconds: float = 12.0) -> list[tuple[Comm
         pytest.param(
             NewtonMpc(preview_horizon=6, disturbance_compensation=False), MODEL, id="preview"
         ),
+        pytest.param(LinearMpc(), MODEL, id="linear"),
+        pytest.param(
+            LinearMpc(
+                linearisation="target",
+                input_rate_limits={"u_h": 6.0},
+                soft_limits={"alpha_h": (-0.3, 0.1)},
+                prediction_horizon=12,
+                move_blocks=(1, 1, 2, 4, 4),
+            ),
+            HORIZONTAL,
+            id="linear-target-limits",
+        ),
+        pytest.param(
+            LinearMpc(linearisation="fixed", terminal="none", preview_horizon=6),
+            HORIZONTAL,
+            id="linear-fixed-preview",
+        ),
+        pytest.param(LinearMpc(), DELAYED, id="linear-delay", marks=pytest.mark.slow),
+        pytest.param(
+            LinearMpc(input_rate_limits={"u_v": 6.0}, soft_limits={"alpha_v": (-0.9, 0.2)}),
+            MODEL,
+            id="linear-limits",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
-def test_it_answers_as_numpy_does(mpc: NewtonMpc, model: Model) -> None:
+def test_it_answers_as_numpy_does(mpc: Law, model: Model) -> None:
     for ours, theirs in both(mpc, model):
         assert np.abs(ours.u - theirs.u).max() <= EQUAL
         assert (ours.status, ours.iterations) == (theirs.status, theirs.iterations)
@@ -136,9 +166,10 @@ def test_the_first_use_says_how_long_it_took(tmp_path, monkeypatch, caplog) -> N
 
 
 @needs_compiler
+@pytest.mark.parametrize("law", [NewtonMpc, LinearMpc])
 @pytest.mark.parametrize("policy", ["shifted_plan", "hold", "steady_input"])
-def test_it_falls_back_as_numpy_does(policy: Any) -> None:
-    engine, state = pair(NewtonMpc(fallback=policy), MODEL)
+def test_it_falls_back_as_numpy_does(policy: Any, law: Any) -> None:
+    engine, state = pair(law(fallback=policy), MODEL)
     good = sample_of(MODEL, [0.2, 0.4])
     bad = sample_of(MODEL, [0.2, np.nan])
     for sample in (bad, good, good, bad):
@@ -154,19 +185,39 @@ def test_it_falls_back_as_numpy_does(policy: Any) -> None:
 
 
 @needs_compiler
-def test_stop_ends_the_run() -> None:
-    engine, _ = pair(NewtonMpc(fallback="stop"), MODEL)
+@pytest.mark.parametrize("law", [NewtonMpc, LinearMpc])
+def test_stop_ends_the_run(law: Any) -> None:
+    engine, _ = pair(law(fallback="stop"), MODEL)
     engine.step(sample_of(MODEL, [0.2, 0.4]), want_prediction=False)
-    with pytest.raises(SimulationError, match="not finite"):
+    with pytest.raises(SimulationError, match=f"(?s){engine.problem.name}.*not finite"):
         engine.step(sample_of(MODEL, [0.2, np.nan]), want_prediction=False)
 
 
-def test_without_a_compiler_and_with_another_solver_numpy_acts(monkeypatch) -> None:
-    assert isinstance(NewtonMpc(qp=Daqp()).init(setup_of(MODEL)), NewtonMpcState)
+@needs_compiler
+@pytest.mark.parametrize("way", ["current", "target"])
+def test_a_linear_model_without_effect_of_an_input_is_replaced_in_c_too(way: Any) -> None:
+    """At yaw 0 the tail rotor of the target stands still: the operating point stands in."""
+    engine, state = pair(LinearMpc(linearisation=way), HORIZONTAL)
+    assert isinstance(state, LinearMpcState)
+    for goal in (0.0, 0.4, 0.0):
+        sample = sample_of(HORIZONTAL, [goal], state_with(HORIZONTAL, alpha_h=0.2))
+        ours = engine.step(sample, want_prediction=False)
+        theirs = state.step(sample, want_prediction=False)
+        assert ours.u == pytest.approx(theirs.u, abs=EQUAL)
+        A = state.newton.horizon.arguments["p"][: state.problem.A.size]
+        is_operating = np.array_equal(A, state.problem.A.ravel())
+        assert is_operating == (way == "current" or goal == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "kind"), [(NewtonMpc, NewtonMpcState), (LinearMpc, LinearMpcState)]
+)
+def test_without_a_compiler_and_with_another_solver_numpy_acts(law, kind, monkeypatch) -> None:
+    assert isinstance(law(qp=Daqp()).init(setup_of(MODEL)), kind)
     monkeypatch.setattr("trms_cli.core.compilation.compiler", lambda: None)
-    state = NewtonMpc().init(setup_of(MODEL))
-    assert isinstance(state, NewtonMpcState)
-    other = replace(NewtonMpc(), qp=Daqp()).init(setup_of(MODEL))
+    state = law().init(setup_of(MODEL))
+    assert isinstance(state, kind)
+    other = replace(law(), qp=Daqp()).init(setup_of(MODEL))
     sample = sample_of(MODEL, [0.2, 0.4])
     commands = [s.step(sample, want_prediction=False).u for s in (state, other)]
     assert (commands[0] == commands[1]).all()

@@ -15,6 +15,8 @@ multipliers its minimum meets the constraints exactly.
 
 With a terminal region (:mod:`trms_cli.controllers.newton.region`) J also has the terminal cost
 ``‖L ξ_N‖²`` of ``ξ_N = (x_N − x_s, u_N−1 − u_s)``, and the terminal v is ``max(0, ‖L ξ_N‖ − √α)``.
+A linear model (:mod:`trms_cli.controllers.linear_mpc`) has such a cost without the region, its
+ṙ is zero, and its matrices are arguments in place of the parameters.
 """
 
 import functools
@@ -45,7 +47,7 @@ ARGUMENTS = (
     *("q", "rho", "s", "limits", "prices", "scale"),
 )
 
-#: Further ones of a horizon that ends in a region: ξ's origin, the cost's root L, and √α.
+#: Further ones of a horizon that has a cost of its end: ξ's origin, the cost's root L, and √α.
 REGION_ARGUMENTS = ("centre", "root", "radius")
 
 #: Added under the root of ‖L ξ_N‖², whose slope would else be no number at the centre.
@@ -208,7 +210,7 @@ class Horizon:
     ``discrete``: one control period. ``blocks``: (N,); from :func:`blocks_of`. ``scale``: (n_x,);
     typical size of each state; the terminal residual is divided by it. Weights, limits, prices and
     parameters are arguments, not constants: one compiled function serves every tuning of one
-    structure.
+    structure. ``linear``: see above.
     """
 
     def __init__(
@@ -219,6 +221,8 @@ class Horizon:
         soft_limits: SoftLimits,
         terminal: TerminalPrice | None,
         scale: FloatArray,
+        *,
+        linear: bool = False,
     ) -> None:
         model = discrete.model
         check_problem(model, weights, soft_limits)
@@ -231,8 +235,12 @@ class Horizon:
         self.weights, self.soft_limits = weights, soft_limits
         self.terminal, self.scale = terminal, scale
         self.has_region = terminal is not None and terminal.region
-        #: :data:`ARGUMENTS`, and :data:`REGION_ARGUMENTS` with a terminal region.
-        self.argument_names = (*ARGUMENTS, *(REGION_ARGUMENTS if self.has_region else ()))
+        self.is_linear = linear
+        #: Added to the Hessian's diagonal, 1/V²: inputs without influence stay where they are.
+        self.regularisation = 1e-9 if linear else 1e-6
+        self.has_end_cost = linear or self.has_region
+        #: :data:`ARGUMENTS`, and :data:`REGION_ARGUMENTS` with a cost of the end.
+        self.argument_names = (*ARGUMENTS, *(REGION_ARGUMENTS if self.has_end_cost else ()))
         #: Terminal residuals: one a state of the equality, a single one of a region, or none.
         self.n_terminal = 0 if terminal is None else 1 if terminal.region else model.n_x
         #: Arguments of both compiled functions by name.
@@ -269,7 +277,7 @@ class Horizon:
         )
         limits = [soft.states[name] for name in self.limited]
         return {
-            "p": model.parameters.values,
+            "p": np.zeros(1) if self.is_linear else model.parameters.values,
             "q": np.array(
                 [weights.states[name] for name in self.weighted]
                 + [weights.rates[name] for name in self.damped]
@@ -289,7 +297,7 @@ class Horizon:
             "x0": (discrete.n_x, 1),
             "z": (n_u, self.n_blocks),
             "u_previous": (n_u, 1),
-            "p": (len(model.parameters), 1),
+            "p": discrete.step.size_in(2),
             "w": (model.n_w, 1),
             "r": (len(model.controlled), n),
             "x_s": (n_x, 1),
@@ -326,11 +334,12 @@ class Horizon:
         trajectory = ca.horzcat(*states)
         residual = (trajectory[:n_x, -1] - at["x_s"]) / at["scale"]
         objective = self._objective(trajectory, at)
-        if self.has_region:
+        if self.has_end_cost:
             end = at["root"] @ (ca.vertcat(trajectory[:, -1], at["z"][:, -1]) - at["centre"])
+            objective += ca.sumsqr(end)
+        if self.has_region:
             distance = ca.sqrt(ca.sumsqr(end) + _SMOOTH)
             residual = distance - at["radius"]
-            objective += ca.sumsqr(end)
         merit, violation = self._merit(objective, trajectory, residual, at)
         results = [trajectory, residual, objective, merit, violation]
         if not with_sensitivities:
@@ -340,11 +349,12 @@ class Horizon:
         of_inputs = ca.vec(ca.jacobian(self._input_objective(at), at["z"]))
         gradient = 2 * root.T @ errors + of_inputs
         terminal_slope = sensitivity[:n_x, :] / ca.repmat(at["scale"], 1, self.n_z)
-        if self.has_region:
+        if self.has_end_cost:
             last = ca.horzcat(ca.MX(n_u, self.n_z - n_u), ca.MX.eye(n_u))
             in_end = at["root"] @ ca.vertcat(sensitivity, last)
             gradient += 2 * in_end.T @ end
             root = ca.vertcat(root, in_end)
+        if self.has_region:
             terminal_slope = end.T @ in_end / distance
         results += [
             gradient,
@@ -381,6 +391,8 @@ class Horizon:
             goal = at["r"][model.controlled.index(name), :] if controlled else at["x_s"][row]
             errors.append(trajectory[row, :] - goal)
         goal_rates = smooth_rates(at["r"], self.discrete.step_length)
+        if self.is_linear:
+            goal_rates = ca.MX.zeros(*goal_rates.shape)
         for name in self.damped:
             row = model.state_index(name)
             before = ca.horzcat(at["x0"][row], trajectory[row, :-1])

@@ -135,8 +135,8 @@ class DiscreteModel:
 
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Fresh symbols (x, u, p, w), with the memory in x."""
-        _, u, p, w = self.model.symbols()
-        return ca.SX.sym("x", self.n_x), u, p, w
+        x, u, p, w = (ca.SX.sym(v, self.step.size1_in(i)) for i, v in enumerate("xupw"))
+        return x, u, p, w
 
     def initial(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """A full state from the continuous one, its memory as after a long time at ``u``."""

@@ -170,7 +170,7 @@ class EngineContext:
 
 @dataclass(frozen=True)
 class NewtonEngine:
-    """What a run of ``controller=newton_mpc`` keeps: the problem, and its controller in C."""
+    """What a run keeps: the problem, and its controller in C."""
 
     problem: NewtonProblem
     context: EngineContext
@@ -194,7 +194,7 @@ class NewtonEngine:
         """
         command = self.context.step(sample)
         if command.fallback == "stop":
-            raise end_of_run("newton_mpc", command.message)
+            raise end_of_run(self.problem.name, command.message)
         if want_prediction and command.status is not Status.FAILED:
             horizon = self.problem.horizon
             command.prediction = self.context.prediction(
@@ -212,7 +212,7 @@ def _built(problem: NewtonProblem, preview: int) -> Path | None:
     """The library in the cache, compiled if need be; None where that cannot be done."""
 
     def write(folder: Path) -> Path:
-        c = source.newton_source(problem, preview, "mpc", "newton_mpc", with_values=False)
+        c = source.newton_source(problem, preview, "mpc", problem.name, with_values=False)
         (folder / "mpc.h").write_text(c.header, encoding="utf-8")
         file = folder / f"{_NAME}.c"
         file.write_text(CLOCK + c.source + source.template("driver.c"), encoding="utf-8")
@@ -221,10 +221,13 @@ def _built(problem: NewtonProblem, preview: int) -> Path | None:
     content = _content(problem, preview)
     is_new, begin = not is_built(_NAME, content, FLAGS), perf_counter()
     if is_new and compiler() is not None:
-        remark_wait("note   newton_mpc is compiled for this model and horizon, once: some seconds")
+        remark_wait(
+            f"note   {problem.name} is compiled for this model and horizon, once: some seconds"
+        )
     library = build_library(_NAME, content, FLAGS, write)
     if is_new and library is not None:
-        _log.info("newton_mpc: compiled for this structure in %.1f s", perf_counter() - begin)
+        spent = perf_counter() - begin
+        _log.info("%s: compiled for this structure in %.1f s", problem.name, spent)
     return library
 
 

@@ -7,10 +7,11 @@
  *
  * with rate that of a reference that moves smoothly and v the scaled miss of the terminal steady
  * state and the violations of soft limits. A terminal region has a cost |L xi|^2 of its own, and v
- * is how far |L xi| is beyond its radius.
+ * is how far |L xi| is beyond its radius. A linear model may have such a cost without a region; its
+ * rates are not compared with those of the reference.
  * ------------------------------------------------------------------------------------------ */
 
-#define MPC_REGULARISATION 1e-6 /* 1/V^2: inputs without influence stay where they are */
+#define MPC_REGULARISATION (MPC_LINEAR ? 1e-9 : 1e-6) /* 1/V^2, for inputs without influence */
 
 #define MPC_SMOOTH 1e-20 /* under the root of |L xi|^2, whose slope is no number at 0 */
 
@@ -28,6 +29,9 @@ static int mpc_in_region(const mpc_ctx *c) {
     return 0;
 #endif
 }
+
+/* Whether where it ends has a cost of its own. */
+static int mpc_has_end_cost(const mpc_ctx *c) { return MPC_REGION ? mpc_in_region(c) : MPC_END_COST; }
 
 static double mpc_clipped(double value, double lower, double upper) {
     return value < lower ? lower : value > upper ? upper : value;
@@ -89,6 +93,18 @@ static void mpc_advance_with_slopes(mpc_ctx *c, const double *x, const double *u
     mpc_model_slopes(arguments, results, c->iw, c->work, 0);
 }
 
+#if MPC_LINEAR
+static void mpc_predict_linear(const mpc_linear *model, const double *x, const double *u,
+                               double *next) {
+    int i, j;
+    for (i = 0; i < MPC_N_FULL; i++) {
+        double sum = model->drift[i];
+        for (j = 0; j < MPC_N_FULL; j++) sum += model->F[i][j] * x[j];
+        for (j = 0; j < MPC_N_U; j++) sum += model->F[i][MPC_N_FULL + j] * u[j];
+        next[i] = sum;
+    }
+}
+#else
 /* The rates at which the references move, as far as they move smoothly. */
 static void mpc_find_rates(mpc_ctx *c) {
     const double *arguments[MPC_ROOM(MPC_RATES_ARG)];
@@ -96,6 +112,16 @@ static void mpc_find_rates(mpc_ctx *c) {
     arguments[0] = c->reference;
     results[0] = c->rates;
     mpc_reference_rates(arguments, results, c->iw, c->work, 0);
+}
+#endif
+
+/* The state that is predicted after a period. */
+static void mpc_predict(mpc_ctx *c, const double *x, const double *u, double *next) {
+#if MPC_LINEAR
+    mpc_predict_linear(&c->model, x, u, next);
+#else
+    mpc_advance(c, x, u, c->w, next);
+#endif
 }
 
 /* The cost of a plan whose trajectory is there. */
@@ -136,10 +162,10 @@ static void mpc_cost_of(const mpc_ctx *c, const double *z, mpc_cost *cost) {
     cost->violation = 0;
     cost->terminal_residual = 0;
     memset(cost->terminal, 0, sizeof cost->terminal);
-    if (mpc_in_region(c)) {
-#if MPC_REGION
+    if (mpc_has_end_cost(c)) {
+#if MPC_END_COST
         const double *last = c->trajectory + (MPC_N - 1) * MPC_N_FULL;
-        double length = 0, beyond;
+        double length = 0;
         for (i = 0; i < MPC_N_V; i++) {
             double sum = 0;
             for (j = i; j < MPC_N_V; j++)
@@ -148,12 +174,13 @@ static void mpc_cost_of(const mpc_ctx *c, const double *z, mpc_cost *cost) {
                         c->region.centre[j]);
             length += sum * sum;
         }
-        cost->objective += length;
+        cost->merit = cost->objective += length;
+#endif
+#if MPC_REGION
         cost->terminal[0] = sqrt(length + MPC_SMOOTH) - c->region.radius;
-        beyond = cost->terminal[0] > 0 ? cost->terminal[0] : 0;
-        cost->terminal_residual = beyond;
-        cost->merit = cost->objective + s->terminal_linear * beyond +
-                      s->terminal_quadratic * beyond * beyond;
+        cost->terminal_residual = cost->terminal[0] > 0 ? cost->terminal[0] : 0;
+        cost->merit += s->terminal_linear * cost->terminal_residual +
+                       s->terminal_quadratic * cost->terminal_residual * cost->terminal_residual;
 #endif
     }
     for (i = 0; i < MPC_N_TERMINAL && !mpc_in_region(c); i++) {
@@ -186,7 +213,7 @@ static void mpc_evaluate(mpc_ctx *c, const double *z, mpc_cost *cost) {
     const double *x = c->full;
     int k;
     for (k = 0; k < MPC_N; k++) {
-        mpc_advance(c, x, z + mpc_block[k] * MPC_N_U, c->w, c->trajectory + k * MPC_N_FULL);
+        mpc_predict(c, x, z + mpc_block[k] * MPC_N_U, c->trajectory + k * MPC_N_FULL);
         x = c->trajectory + k * MPC_N_FULL;
     }
     mpc_cost_of(c, z, cost);
@@ -194,6 +221,11 @@ static void mpc_evaluate(mpc_ctx *c, const double *z, mpc_cost *cost) {
 
 /* Trajectory and cost of a plan, and the model's slopes along it. */
 static void mpc_linearise(mpc_ctx *c, const double *z, mpc_cost *cost) {
+#if MPC_LINEAR
+    int k;
+    for (k = 0; k < MPC_N; k++) memcpy(c->qp.F[k], c->model.F, sizeof c->model.F);
+    mpc_evaluate(c, z, cost);
+#else
     const double *x = c->full;
     int i, j, k;
     for (k = 0; k < MPC_N; k++) {
@@ -208,5 +240,6 @@ static void mpc_linearise(mpc_ctx *c, const double *z, mpc_cost *cost) {
         x = now;
     }
     mpc_cost_of(c, z, cost);
+#endif
     memcpy(c->qp.miss, cost->terminal, sizeof cost->terminal);
 }

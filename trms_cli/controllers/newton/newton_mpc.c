@@ -271,6 +271,12 @@ static int mpc_begin(mpc_ctx *c, const double *x_hat, const double *reference) {
 #if MPC_REGION
     if (is_other) mpc_rg_choose(c);
     else mpc_rg_tail(c, beyond);
+#elif MPC_LINEAR
+    {
+        const double begin = MPC_CLOCK();
+        mpc_choose_model(c, is_other);
+        c->linearise_seconds += MPC_CLOCK() - begin;
+    }
 #else
     (void)is_other;
 #endif
@@ -281,7 +287,9 @@ static int mpc_begin(mpc_ctx *c, const double *x_hat, const double *reference) {
             if (c->reference[k * MPC_N_R + i] == asked[i]) c->reference[k * MPC_N_R + i] = reached;
         if (c->target.asked[i] != previous[i]) changed = 1;
     }
+#if !MPC_LINEAR
     mpc_find_rates(c);
+#endif
     if (c->first) {
         mpc_hold_everywhere(c->target.u, c->plan);
         c->first = 0;

@@ -78,13 +78,25 @@ typedef struct {
     double rest[MPC_N_S];                    /* the model at rest, its memories as they are */
 } mpc_steady;
 
-#if MPC_REGION
-/* Where the horizon ends, of xi = (state, last input) - centre: |root xi| <= radius; beyond its end
- * u = u_s + gain xi. */
+#define MPC_END_COST (MPC_REGION || MPC_LINEAR)
+
+#if MPC_END_COST
+/* Cost |root xi|^2 of where the horizon ends, of xi = (state, last input) - centre. In a region
+ * besides |root xi| <= radius, and beyond its end u = u_s + gain xi. */
 typedef struct {
     int holds; /* 0: this target has none, its steady state ends the horizon */
     double centre[MPC_N_V], root[MPC_N_V][MPC_N_V], gain[MPC_N_U][MPC_N_V], radius;
 } mpc_region;
+#endif
+
+#if MPC_LINEAR
+/* Next state: F (state, input) + drift. */
+typedef struct {
+    double F[MPC_N_FULL][MPC_N_F], drift[MPC_N_FULL];
+} mpc_linear;
+#endif
+
+#if MPC_REGION
 
 /* A region that was designed, by the cell that its target lies in. */
 typedef struct {
@@ -144,8 +156,15 @@ typedef struct {
     double solved_for[MPC_N_R + MPC_N_W + MPC_N_PATHS];
     double last_reference[MPC_N_R], moves[MPC_N_R][6]; /* what forecasts are made of */
     int n_moves[MPC_N_R], reference_seen;
-#if MPC_REGION
+#if MPC_LINEAR
+    mpc_linear model;
+    double model_input[MPC_N_U]; /* of the target that it was taken at */
+    int has_model;
+#endif
+#if MPC_END_COST
     mpc_region region;
+#endif
+#if MPC_REGION
     mpc_known_region regions[MPC_REGIONS];
     int n_regions, next_region;
     mpc_region_search region_search;

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +18,7 @@ from trms_cli.controllers.horizon import (
     check_names,
 )
 from trms_cli.core.arrays import FloatArray
+from trms_cli.core.c_source import SettingField
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model, names
@@ -24,6 +26,7 @@ from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.vector_field import holds_at_rest
 
 if TYPE_CHECKING:
+    from trms_cli.controllers.linear_mpc import LinearMpc
     from trms_cli.controllers.newton_mpc import NewtonMpc
 
 #: Least weights (1/V²) of the rotors' inputs, of their deviation from the steady state, for a model
@@ -45,41 +48,57 @@ class NewtonProblem:
     Raises ConfigurationError for names and limits that the model does not have.
     """
 
+    name = "newton_mpc"  #: Of the controller, for messages
+    #: What else its C has of settings: numbers, then whole ones.
+    further_settings: tuple[SettingField, ...] = ()
+    further_switches: tuple[SettingField, ...] = ()
+
     def __init__(self, config: NewtonMpc, setup: ControlSetup) -> None:
         model = setup.model
-        self.config, self.model = config, model
         self.discrete = discretise(model, setup.sample_time, config.integration_steps)
-        self._blocks = blocks_of(config.prediction_horizon, tuple(config.move_blocks))
         sizes = typical_sizes(self.discrete)
         weights = _tracking(model, config.state_weights, sizes)
-        self.steady_state = SteadyState(model, {name: q for name, q in weights.items() if q > 0})
+        self.set_limits(config, setup, weights)
         # The plan may end at any value of what remembers the path: none of it is missed.
         sizes[list(model.path_memory)] = np.inf
         self._terminal_sizes = sizes
-        inputs = names(model.inputs)
-        check_names(config.input_rate_limits, inputs, "input_rate_limits")
-        rates = np.array([config.input_rate_limits.get(name, np.inf) for name in inputs])
-        self.largest_moves = rates * setup.sample_time
         input_weights = dict(config.input_weights)
         if holds_at_rest(model):
             for rotor, name in model.rotors.items():
                 least = _HOLDING_WEIGHTS.get(rotor, 0.0)
                 input_weights[name] = max(input_weights.get(name, 0.0), least)
         self._weights = Weights(weights, config.rate_weights, input_weights, config.move_weights)
+        self._price = (
+            None
+            if config.terminal == "none"
+            else TerminalPrice(config.terminal_linear, config.terminal_quadratic)
+        )
+        self.horizon = self.horizon_ending(in_region=config.terminal == "quasi_infinite")
+
+    def set_limits(
+        self, config: NewtonMpc | LinearMpc, setup: ControlSetup, weights: Mapping[str, float]
+    ) -> None:
+        """What does not depend on the prediction: blocks, targets, limits of rates and goals."""
+        model = setup.model
+        self.config, self.model = config, model
+        self._blocks = blocks_of(config.prediction_horizon, tuple(config.move_blocks))
+        self.steady_state = SteadyState(model, {name: q for name, q in weights.items() if q > 0})
+        inputs = names(model.inputs)
+        check_names(config.input_rate_limits, inputs, "input_rate_limits")
+        rates = np.array([config.input_rate_limits.get(name, np.inf) for name in inputs])
+        self.largest_moves = rates * setup.sample_time
         limits = [config.soft_limits.get(name, (-np.inf, np.inf)) for name in model.controlled]
         self.goal_limits = np.array(limits) if config.soft_limits else None
-        self.horizon = self.horizon_ending(in_region=config.terminal == "quasi_infinite")
 
     def horizon_ending(self, *, in_region: bool) -> Horizon:
         """The horizon that ends in a terminal region, or as configured in the steady state."""
         config = self.config
-        price = TerminalPrice(config.terminal_linear, config.terminal_quadratic, in_region)
         return Horizon(
             self.discrete,
             self._blocks,
             self._weights,
             SoftLimits(config.soft_limits, config.soft_linear, config.soft_quadratic),
-            None if config.terminal == "none" else price,
+            self._price and replace(self._price, region=in_region),
             self._terminal_sizes,
         )
 

@@ -128,9 +128,10 @@ static void mpc_qp_add_errors(const mpc_ctx *c, int k, double (*restrict M)[MPC_
         }
 }
 
-/* The cost |L xi|^2 of where the horizon ends and the row |L xi| - radius, in the value function. */
-static void mpc_qp_end_in_region(const mpc_ctx *c, double (*restrict M)[MPC_N_M]) {
-#if MPC_REGION
+/* The cost |L xi|^2 of where the horizon ends, and the row |L xi| - radius of a region, in the value
+ * function. */
+static void mpc_qp_end_cost(const mpc_ctx *c, double (*restrict M)[MPC_N_M]) {
+#if MPC_END_COST
     const mpc_region *region = &c->region;
     double xi[MPC_N_V], at[MPC_N_V], length = 0;
     int i, j, m;
@@ -148,14 +149,20 @@ static void mpc_qp_end_in_region(const mpc_ctx *c, double (*restrict M)[MPC_N_M]
         double slope = 0;
         for (m = 0; m <= i; m++) slope += region->root[m][i] * at[m];
         M[i][QP_ONE] += 2 * slope;
+#if MPC_REGION
         M[i][QP_PRICES] = slope / length;
+#endif
         for (j = 0; j < MPC_N_V; j++) {
             double sum = 0;
             for (m = 0; m <= i && m <= j; m++) sum += region->root[m][i] * region->root[m][j];
             M[i][j] += 2 * sum;
         }
     }
+#if MPC_REGION
     M[MPC_N_V][QP_ONE] = c->qp.miss[0];
+#else
+    (void)length;
+#endif
 #else
     (void)c;
     (void)M;
@@ -179,8 +186,8 @@ static void mpc_qp_end(mpc_ctx *c) {
                 s->largest_moves[at % MPC_N_U];
 #endif
     mpc_qp_add_errors(c, MPC_N, M);
-    if (mpc_in_region(c)) {
-        mpc_qp_end_in_region(c, M);
+    if (mpc_has_end_cost(c)) {
+        mpc_qp_end_cost(c, M);
         return;
     }
     for (i = 0; i < MPC_N_TERMINAL; i++) {
@@ -1018,8 +1025,8 @@ static double mpc_qp_curvature(const mpc_ctx *c, double *largest) {
     int k, i, j, at;
     for (i = 0; i < MPC_N_WEIGHTED; i++)
         a[mpc_weighted_row[i]] += 2 * s->state_weights[i] * q->dx[MPC_N][mpc_weighted_row[i]];
-#if MPC_REGION
-    if (mpc_in_region(c)) {
+#if MPC_END_COST
+    if (mpc_has_end_cost(c)) {
         double xi[MPC_N_V], image[MPC_N_V];
         for (i = 0; i < MPC_N_V; i++)
             xi[i] = i < MPC_N_FULL ? q->dx[MPC_N][i] : q->dz[MPC_N_Z - MPC_N_V + i];

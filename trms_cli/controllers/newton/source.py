@@ -44,7 +44,11 @@ _INTERIOR_ROUNDS, _TRIAL_ROUNDS, _MOST_TRIALS, _LAST_ROUNDS = 60, 4, 7, 40
 _MOST_CODE = 8_000_000
 _FOLDER = Path(__file__).parent
 #: Templates of the source, in their order.
-PARTS = ("steady_state.c", "horizon.c", "region.c", "riccati.c", "newton_mpc.c")
+PARTS = ("steady_state.c", "horizon.c", "linear.c", "region.c", "riccati.c", "newton_mpc.c")
+
+
+#: The size that says whether one of them is wanted.
+_OPTIONAL = {"region.c": "REGION", "linear.c": "LINEAR"}
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,7 @@ def sizes_of(problem: NewtonProblem, preview: int) -> dict[str, tuple[int, str]]
         "N_LIMITED": (len(horizon.limited), "states with soft limits"),
         "N_TERMINAL": (terminal, "states that end in the steady state"),
         "REGION": (int(horizon.has_region), "whether the horizon ends in a region"),
+        "LINEAR": (int(horizon.is_linear), "whether it is predicted by a linear model"),
         "RATES_LIMITED": (int(rates.any()), "whether an input's rate is limited"),
         "ROWS_SOFT": (soft, "soft limits over the horizon"),
         "N_V": (n_v, "states and inputs: what a value function is of"),
@@ -148,7 +153,7 @@ def tables(problem: NewtonProblem) -> str:
 def settings(problem: NewtonProblem) -> list[SettingField]:
     """What may be changed between two steps, with its values in the problem."""
     model, horizon, config = problem.model, problem.horizon, problem.config
-    at = horizon.arguments
+    at, parameters = horizon.arguments, model.parameters.values
     lower, upper = model.input_bounds()
     moves = np.where(np.isfinite(problem.largest_moves), problem.largest_moves, 0.0)
     inputs, n = names(model.inputs), len(horizon.weighted)
@@ -166,7 +171,7 @@ def settings(problem: NewtonProblem) -> list[SettingField]:
         return SettingField(name, "", np.array([value]), comment, is_whole=True)
 
     return [
-        vector("p", "MPC_ROOM(MPC_N_P)", at["p"], "parameters, see the source for their names"),
+        vector("p", "MPC_ROOM(MPC_N_P)", parameters, "parameters, see the source for their names"),
         vector(
             "state_weights",
             "MPC_ROOM(MPC_N_WEIGHTED)",
@@ -214,6 +219,7 @@ def settings(problem: NewtonProblem) -> list[SettingField]:
             problem.discrete.initial(rest, np.zeros(model.n_u)),
             "the rig at rest, with what is remembered of past commands",
         ),
+        *problem.further_settings,
         single("tolerance", config.tolerance, "V, converged when no input moves more"),
         whole("max_iterations", config.max_iterations, "Newton iterations of a start"),
         whole(
@@ -226,6 +232,7 @@ def settings(problem: NewtonProblem) -> list[SettingField]:
             1 + get_args(Policy).index(config.fallback),
             "what acts without a solution, of mpc_fallback",
         ),
+        *problem.further_switches,
     ]
 
 
@@ -255,12 +262,14 @@ class ControllerSource:
 
 def functions_of(problem: NewtonProblem) -> dict[str, ca.Function]:
     """What is generated of a problem, by its names in C."""
-    return {
+    functions = {
         "mpc_model_step": problem.discrete.step,
         "mpc_model_slopes": problem.discrete.slopes(),
         "mpc_steady_state_step": problem.steady_state.function,
-        "mpc_reference_rates": _reference_rates(problem),
     }
+    if not problem.horizon.is_linear:
+        functions["mpc_reference_rates"] = _reference_rates(problem)
+    return functions
 
 
 def newton_source(
@@ -301,7 +310,7 @@ def newton_source(
             *([companion.tables] if companion is not None else []),
             "",
             code.source,
-            *(template(part) for part in PARTS if part != "region.c" or sizes["REGION"][0]),
+            *(template(part) for part in PARTS if sizes.get(_OPTIONAL.get(part, ""), (1,))[0]),
             *([companion.code] if companion is not None else []),
         ]
     )

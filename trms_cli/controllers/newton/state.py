@@ -13,14 +13,15 @@ import numpy as np
 from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Prediction, Status
 from trms_cli.controllers.fallback import NOT_FINITE, Policy, are_finite, fall_back
 from trms_cli.controllers.horizon import Horizon
-from trms_cli.controllers.newton.problem import NewtonProblem
 from trms_cli.controllers.newton.region import RegionDesign, TerminalRegion
 from trms_cli.controllers.newton.step import NewtonStep
 from trms_cli.controllers.reference_forecast import ReferenceForecast
 from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.steady_state import Target
 
 if TYPE_CHECKING:
+    from trms_cli.controllers.linear_mpc import LinearMpc
     from trms_cli.controllers.newton_mpc import NewtonMpc
 
 NO_REGION = "this target has no terminal region; its steady state ends the horizon"
@@ -92,8 +93,8 @@ class NewtonMpcState:
     #: A scaled terminal residual above this counts as a relaxed equality.
     relaxed_above = 1e-3
 
-    def __init__(self, config: NewtonMpc, setup: ControlSetup) -> None:
-        problem = NewtonProblem(config, setup)
+    def __init__(self, config: NewtonMpc | LinearMpc, setup: ControlSetup) -> None:
+        problem = config.problem(setup)
         model = problem.model
         self.config, self.model, self.problem = config, model, problem
         self.discrete, self.steady_state = problem.discrete, problem.steady_state
@@ -117,6 +118,7 @@ class NewtonMpcState:
         blocks = problem.horizon.blocks
         self._shift = _shift_matrix(blocks)
         self._beyond = 1.0 - self._shift.sum(axis=0)
+        self._step = BufferedFunction(self.discrete.step)
         self._forecast = ReferenceForecast(config.forecast_periods, len(model.controlled))
         self.target: Target | None = None
         self._full = self.discrete.initial(model.rest(), setup.first_command)
@@ -139,7 +141,8 @@ class NewtonMpcState:
         if not self.inputs_finite:
             return
         if not self._first and len(self._full) > n_x:
-            self._full[n_x:] = self.newton.advance(self._full, sample.previous_command)[n_x:]
+            at = self._full, sample.previous_command, self.model.parameters.values, 0.0
+            self._full[n_x:] = self._step.evaluate(*at)[0][n_x:]
         self._full[:n_x] = sample.estimate.x
         references = sample.reference
         if len(references) == 1:
@@ -214,12 +217,13 @@ class NewtonMpcState:
         self.begin_sample(sample)
         newton, target, config = self.newton, self.target, self.config
         if not self.inputs_finite:
-            return self.fall_back("newton_mpc", config.fallback, NOT_FINITE)
+            return self.fall_back(self.problem.name, config.fallback, NOT_FINITE)
         begin_linearise = newton.linearise_time
+        self.prepare_model()
         begin_qp = newton.qp_time
         outcome = newton.solve(config.max_iterations, config.tolerance, self.other_start)
         if outcome.failed:
-            return self.fall_back("newton_mpc", config.fallback, outcome.message)
+            return self.fall_back(self.problem.name, config.fallback, outcome.message)
         if outcome.terminal_residual > self.relaxed_above and target is not None:
             status = Status.RELAXED
         elif outcome.converged:
@@ -238,8 +242,11 @@ class NewtonMpcState:
             message=self._message(status),
             prediction=self.prediction() if want_prediction else None,
             out_of_reach=target is not None and target.projected,
-            terminal_residual=math.nan if config.terminal == "none" else outcome.terminal_residual,
+            terminal_residual=outcome.terminal_residual if newton.horizon.terminal else math.nan,
         )
+
+    def prepare_model(self) -> None:
+        """What a model needs that is made anew for each sample."""
 
     def _message(self, status: Status) -> str:
         words = [status.meaning] if status is Status.RELAXED else []

@@ -12,15 +12,12 @@ import numpy as np
 
 from trms_cli.controllers.horizon import Horizon
 from trms_cli.core.arrays import FloatArray
-from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.qp import Qp, QpResult, QpSolver, solve_or_fail
 from trms_cli.models.model import names
 from trms_cli.models.steady_state import Target
 
 _ARMIJO = 1e-4
 _STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
-#: Added to the Hessian's diagonal (1/V²): inputs without influence stay where they are.
-_REGULARISATION = 1e-6
 #: A step that goes a smaller share of the way to the steady-state input leaves it where it is.
 _STUCK = 0.02
 
@@ -63,8 +60,6 @@ class NewtonStep:
         self._evaluate = horizon.evaluate  # compiled before the first sample
         self.linearise_time = self.qp_time = 0.0
         self._tolerance = 0.0
-        self._step = BufferedFunction(horizon.discrete.step)
-        self._step.inputs[2][:] = model.parameters.values
         self._constant_terms()
         self._program_rows(largest_moves)
 
@@ -80,7 +75,7 @@ class NewtonStep:
         self._constant_hessian = 2.0 * (
             np.diag((periods[:, None] * rho).ravel())
             + difference.T * np.tile(s, n_blocks) @ difference
-        ) + _REGULARISATION * np.eye(n)
+        ) + horizon.regularisation * np.eye(n)
         limits = [horizon.soft_limits.states[name] for name in horizon.limited]
         self._limits = np.array(limits).reshape(-1, 2)
         self._limited = [horizon.model.state_index(name) for name in horizon.limited]
@@ -135,14 +130,6 @@ class NewtonStep:
         arguments["centre"][:] = centre
         arguments["root"][:] = root
         arguments["radius"][:] = np.sqrt(level)
-
-    def advance(self, full: FloatArray, u: FloatArray) -> FloatArray:
-        """The full state one control period later without disturbance, for its memory."""
-        step = self._step
-        step.inputs[0][:] = full
-        step.inputs[1][:] = u
-        step()
-        return step.outputs[0]
 
     def merit(self, plan: FloatArray) -> float:
         """φ of a plan; the outputs of ``horizon.evaluate`` are then those of it."""
