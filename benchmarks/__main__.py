@@ -17,7 +17,7 @@ from trms_cli.core.threads import ONE_THREAD
 
 #: In the order of running; a module each under benchmarks.subjects.
 SUBJECTS = (
-    *("newton_time", "exported", "peers", "objective", "tracking"),
+    *("newton_time", "linear_time", "exported", "peers", "acados", "objective", "tracking"),
     *("parts", "real_time", "identification", "program", "growth", "run_overhead", "sweeps"),
     "diagnosis",
 )

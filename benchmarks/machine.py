@@ -8,7 +8,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-_PACKAGES = ("numpy", "scipy", "casadi", "daqp", "osqp", "filterpy", "do-mpc", "hydra-core", "mcap")
+_PACKAGES = (
+    *("numpy", "scipy", "casadi", "daqp", "osqp", "filterpy", "do-mpc", "acados_template"),
+    *("hydra-core", "mcap"),
+)
 
 
 def describe() -> dict[str, Any]:
