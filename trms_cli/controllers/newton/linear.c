@@ -68,13 +68,13 @@ static void mpc_choose_model(mpc_ctx *c, int is_other) {
     const int way = c->settings.linearisation;
     double *centre = c->region.centre;
     mpc_linear *model = &c->model;
-    int i, has_moved = !c->has_model;
+    int i, has_moved = 0;
     if (is_other) { /* the target, with what is remembered of past commands */
         for (i = 0; i < MPC_N_X; i++) centre[i] = c->target.x[i];
         memcpy(centre + MPC_N_FULL, c->target.u, sizeof c->target.u);
         mpc_settle_memory(c, centre, c->target.u, 100000);
     }
-    if (has_moved) {
+    if (!c->has_model) {
         mpc_operating_model(c, model);
         memcpy(c->model_input, c->settings.operating_input, sizeof c->model_input);
         memcpy(c->region.root, c->settings.end_root, sizeof c->region.root);
@@ -87,7 +87,7 @@ static void mpc_choose_model(mpc_ctx *c, int is_other) {
         }
         mpc_operating_model(c, model);
     } else if (way == MPC_OF_TARGET) {
-        for (i = 0, has_moved = 0; i < MPC_N_U; i++)
+        for (i = 0; i < MPC_N_U; i++)
             if (fabs(c->target.u[i] - c->model_input[i]) > MPC_SAME_TARGET) has_moved = 1;
         if (has_moved) {
             if (!mpc_slopes_at(c, centre, c->target.u, model)) mpc_operating_model(c, model);
