@@ -17,6 +17,7 @@ from benchmarks.subjects import (
     exported,
     growth,
     identification,
+    linear_time,
     objective,
     parts,
     peers,
@@ -61,7 +62,7 @@ def test_a_peer_and_converged_newton_go_the_same_way(solver: str) -> None:
     np.testing.assert_allclose(newton, peer, atol=2e-3)  # V
 
 
-LONG = [objective, peers, tracking, identification, exported, growth]
+LONG = [linear_time, objective, peers, tracking, identification, exported, growth]
 
 
 @pytest.mark.parametrize(
