@@ -60,6 +60,8 @@ def run(options: Options) -> list[Table]:
     _add(table, "rig: integration, torques, checks", _plant_times(steps), None)
     for name, label in OBSERVERS.items():
         _add_filter(table, name, label, max(steps // 10, 3 * _BATCH))
+    held = _filter_at_bound(max(steps // 10, 3 * _BATCH))
+    _add(table, f"{OBSERVERS['mhe']}, a torque at its bound", held, LIMIT_SAMPLE)
     return [table]
 
 
@@ -81,6 +83,16 @@ def _add_filter(table: Table, name: str, label: str, steps: int) -> None:
     of_peer = np.concatenate(theirs[1:])
     _add(table, label, times, limit, float(np.median(of_peer) / np.median(times)))
     _add(table, f"{name} of filterpy, same model and noise", of_peer, None)
+
+
+def _filter_at_bound(steps: int) -> np.ndarray:
+    """µs per step of the moving horizon where a bound is active in each sample, noise on all."""
+    setup, observer, y, _ = filter_setup("mhe")
+    bounded = replace(observer, bounds={"yaw_moment": (0.003, 0.02)})
+    state, random, u = bounded.init(setup), np.random.default_rng(0), np.zeros(2)
+    return _batches(
+        lambda: bounded.step(state, u, y + 1e-3 * random.standard_normal(len(y)), None), steps
+    )[1:]
 
 
 def _add(

@@ -11,7 +11,7 @@ import pytest
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
-from trms_cli.core.qp import Daqp, QpResult
+from trms_cli.core.qp import Daqp, Qp
 from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.input_delay import InputDelay
@@ -27,7 +27,7 @@ from trms_cli.observers.augmentation import FilterOptions, InitialSd, ProcessNoi
 from trms_cli.observers.ekf import Ekf
 from trms_cli.observers.filterpy_ukf import FilterpyUkf
 from trms_cli.observers.kalman import Kalman
-from trms_cli.observers.mhe import Mhe, solve_bounded
+from trms_cli.observers.mhe import Mhe, MheState
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import FilterState, Gate
 from trms_cli.observers.state_dependent_ekf import StateDependentEkf
@@ -453,23 +453,71 @@ def test_mistakes_are_reported_by_key(target, options, where, remedy) -> None:
     assert remedy in f"{caught.value.problem} {caught.value.remedy}"
 
 
-def test_the_two_ways_to_solve_a_step_are_one_problem() -> None:
-    """Without active bounds the quadratic program gives the smoother's trajectory."""
-    model = Newtonian()
-    observer = Mhe(horizon=0.16, within_stops=False)
-    state, rig = observer.init(setup_for(model)), Rig(model, names(model.outputs))
-    lost = range(25, 29)
-    for _ in followed(observer, state, rig, commands(31), lost=lost):
-        pass
-    state.function()
-    rows = np.array([2, 5])
-    wide = np.array([10.0, 10.0])
-    qp, centre, slopes = solve_bounded(state.inputs, state.outputs, rows, -wide, wide)
-    result = Daqp().solve(Daqp().start(), qp)
+def dense_step(state: MheState) -> np.ndarray:
+    """The same step as a dense quadratic program: the trajectory within its bounds.
+
+    In the normalised noises ξ (z_0 = ẑ_0 + L ξ_0, F's error √q ξ_k), whose Hessian is I + JᵀJ.
+    """
+    inputs, outputs, rows = state.inputs, state.outputs, state.rows
+    Z, A, H = inputs["trajectory"], outputs["A"], outputs["H"]
+    n, count = Z.shape
+    slopes, centre = np.zeros((count, n, n * count)), np.empty((n, count))
+    slopes[0, :, :n], centre[:, 0] = np.linalg.cholesky(inputs["P"]), inputs["arrival"]
+    J, offset = [], []
+    for k in range(count - 1):
+        A_k, H_k = A[:, k * n : (k + 1) * n], H[:, k * n : (k + 1) * n]
+        centre[:, k + 1] = outputs["moved"][:, k] + A_k @ (centre[:, k] - Z[:, k])
+        slopes[k + 1] = A_k @ slopes[k]
+        slopes[k + 1, np.arange(n), n * (k + 1) + np.arange(n)] += np.sqrt(inputs["q"])
+        root = np.sqrt(inputs["believed"][:, k] / inputs["r"])
+        seen = outputs["seen"][:, k] + H_k @ (centre[:, k + 1] - Z[:, k + 1])
+        J.append(root[:, None] * (H_k @ slopes[k + 1]))
+        offset.append(root * (inputs["y"][:, k] - seen))
+    jacobian, limited = np.concatenate(J), slopes[:, rows].reshape(-1, n * count)
+    free, around = np.full(n * count, np.inf), centre[rows].T.ravel()
+    program = Qp(
+        np.eye(n * count) + jacobian.T @ jacobian,
+        -jacobian.T @ np.concatenate(offset),
+        limited,
+        np.concatenate([-free, np.tile(state.lower, count) - around]),
+        np.concatenate([free, np.tile(state.upper, count) - around]),
+        np.full(len(limited), np.inf),
+        np.zeros(len(limited)),
+    )
+    result = Daqp().solve(Daqp().start(), program)
     assert result.solved
-    dense, smooth = centre + (slopes @ result.z).T, state.outputs["smoothed"]
-    scale = state.augmented.sd[:, None]
-    np.testing.assert_allclose(dense / scale, smooth / scale, rtol=0, atol=1e-7)
+    return centre + (slopes @ result.z).T
+
+
+@pytest.mark.parametrize(
+    ("bounds", "lost"),
+    [
+        ({}, range(25, 29)),
+        ({"alpha_v": (-0.02, 0.05)}, ()),
+        ({"yaw_moment": (0.0, 1e-3), "omega_h": (-20.0, 5.0), "S_v": (-0.1, 0.2)}, range(25, 29)),
+    ],
+)
+def test_a_step_is_the_quadratic_program_within_the_bounds(bounds, lost, monkeypatch) -> None:
+    model, held, differences = Newtonian(), 0, []
+    solve = mhe._within_bounds
+
+    def compare(state: MheState) -> np.ndarray | None:
+        nonlocal held
+        trajectory = solve(state)
+        assert trajectory is not None
+        scale = np.sqrt(np.diag(state.covariances[0]))[:, None]
+        differences.append(np.abs((trajectory - dense_step(state)) / scale).max())
+        held += bool(state.inputs["held"].any())
+        return trajectory
+
+    monkeypatch.setattr(mhe, "_within_bounds", compare)
+    observer = Mhe(horizon=0.16, within_stops=False, bounds=bounds)
+    state, rig = observer.init(setup_for(model)), Rig(model, names(model.outputs))
+    for _ in followed(observer, state, rig, commands(80), lost=lost):
+        pass
+    assert len(differences) > 60 and (held > 20) == bool(bounds)
+    assert max(differences) < (1e-4 if bounds else 1e-9)  # standard deviations
+    assert state.fallbacks == 0
 
 
 def test_bounds_are_kept_and_used() -> None:
@@ -520,10 +568,8 @@ def test_a_rig_at_its_stop_is_not_estimated_beyond_it() -> None:
 def test_the_arrival_filter_stands_in_where_a_problem_is_not_solved(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Every program fails: the estimate is the filter's, cut to the bounds, and counted."""
-    monkeypatch.setattr(
-        mhe.Daqp, "solve", lambda self, workspace, qp: QpResult(qp.gradient, False, 0, "no")
-    )
+    """No step ends: the estimate is the filter's, cut to the bounds, and counted."""
+    monkeypatch.setattr(mhe, "_ROUNDS", 0)
     model = Newtonian()
     observer = Mhe(bounds={"yaw_moment": (0.004, 0.006)})
     state, rig = observer.init(setup_for(model)), Rig(model, names(model.outputs))

@@ -16,17 +16,18 @@ The least-squares problem, solved for one linearisation at a time:
     min  |z_0 − ẑ_0|²_{P⁻¹} + Σ_k |z_{k+1} − F(z_k)|²_{Q⁻¹} + Σ_k |y_k − h(z_k)|²_{R⁻¹}
     s.t. lower ≤ z_k ≤ upper
 
-A Gauss–Newton step without bounds is a Kalman smoother of the model linearised along the last
-trajectory (Bell 1994, "The iterated Kalman smoother as a Gauss–Newton method", SIAM J. Optim. 4):
-compiled, linear in the length of the window, and never divides by a process noise that may be
-zero. Where its result leaves the bounds, the same step is solved as a dense quadratic program in
-the normalised noises ξ (z_0 = ẑ_0 + L ξ_0, F's error √q ξ_k), whose Hessian I + JᵀJ no noise level
-makes singular.
+A Gauss–Newton step is a Kalman smoother of the model linearised along the last trajectory (Bell
+1994, "The iterated Kalman smoother as a Gauss–Newton method", SIAM J. Optim. 4): compiled, linear
+in the length of the window, and never divides by a process noise that may be zero. It is the mirror
+of the recursion of ``newton_mpc``, and treats bounds as that does: an entry that leaves its bounds
+is held there, by a measurement that is far surer than what is known of it, and all that stand wrong
+change at once until none does. What is held stays beyond its bound by its multiplier times the
+variance of that measurement: an entry that the bound does not hold back has come inside.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import casadi as ca
 import numpy as np
@@ -37,7 +38,6 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
-from trms_cli.core.qp import Daqp, Qp
 from trms_cli.core.ranges import Positive
 from trms_cli.models.estimate import Estimate
 from trms_cli.observers.augmentation import Augmentation, FilterOptions, augment
@@ -59,24 +59,34 @@ _ARRIVAL: dict[str, type[RecursiveFilter]] = {"ekf": Ekf, "ukf": Ukf}
 _FURTHEST = 20.0
 #: What the window keeps of each sample, oldest first.
 _KEPT = ("memory", "u", "known", "y", "believed")
-_COLUMNS = ("trajectory", *_KEPT)
+_COLUMNS = ("trajectory", "held", "bound", *_KEPT)
 INPUTS = (
-    *("trajectory", "arrival", "P", "memory", "u", "known", "y", "believed"),
+    *("trajectory", "arrival", "P", "held", "bound", "memory", "u", "known", "y", "believed"),
     *("p", "q", "r", "floor"),
 )
+#: Variance of the measurement that holds an entry at its bound, as a share of the entry's at the
+#: window's beginning; and how far beside its bound an entry still stands on it, as a share of its
+#: standard deviation there, and how far one that is held may be off.
+_HOLDING, _ON_BOUND, _ACCURACY = 1e-7, 1e-11, 1e-7
+#: Changes of what is held at the bounds, usually two or three; after the first ones a single entry
+#: at once, which is slower and does not cycle (Murty 1974, Linear Algebra Appl. 9).
+_ROUNDS, _AT_ONCE = 60, 8
 OUTPUTS = ("smoothed", "moved", "A", "seen", "H")
 
 
-def smoothing_step(augmented: Augmentation, length: int) -> ca.Function:
-    """One Gauss–Newton step over ``length`` samples, without bounds.
+def smoothing_step(augmented: Augmentation, length: int, rows: Sequence[int] = ()) -> ca.Function:
+    """One Gauss–Newton step over ``length`` samples.
 
-    Inputs: trajectory to linearise along (n, length + 1), mean and covariance at its beginning,
-    and for each sample the memory before it, command and known torques during it, measurement and
-    mask at its end. Outputs: the smoothed trajectory; for :func:`solve_bounded` F(z_k) (n, length)
-    and its slopes side by side (n, n·length), h(z_k) (n_y, length) and its slopes (n_y, n·length).
+    ``rows``: entries of z that may be held at a bound. Inputs: trajectory to linearise along (n,
+    length + 1), mean and covariance at its beginning, for each of its points which of the rows are
+    held (1 or 0) and where (k, length + 1), and for each sample the memory before it, command and
+    known torques during it, measurement and mask at its end. Outputs: the smoothed trajectory;
+    F(z_k) (n, length) and its slopes side by side (n, n·length), h(z_k) (n_y, length) and its
+    slopes (n_y, n·length).
     """
     model, n, n_y = augmented.model, augmented.n, len(augmented.channels)
     Z, arrival = ca.MX.sym("trajectory", n, length + 1), ca.MX.sym("arrival", n)
+    held, bound = (ca.MX.sym(name, len(rows), length + 1) for name in ("held", "bound"))
     P_0, memory = ca.MX.sym("P", n, n), ca.MX.sym("memory", augmented.n_m, length)
     u, w_known = ca.MX.sym("u", model.n_u, length), ca.MX.sym("known", model.n_w, length)
     y, believed = ca.MX.sym("y", n_y, length), ca.MX.sym("believed", n_y, length)
@@ -89,7 +99,8 @@ def smoothing_step(augmented: Augmentation, length: int) -> ca.Function:
     )
     readings, H = exact_measurement(augmented).map(length)(Z[:, 1:], u, repeated)
     forward, backward = _forward(n, n_y), gain_stage(n, n)
-    m, P = arrival, P_0
+    hold, variances = _hold(n, rows), _HOLDING * ca.diag(P_0)[list(rows)] + 1e-300
+    m, P = hold(arrival, P_0, held[:, 0], bound[:, 0], variances)
     filtered, predicted = [(m, P)], []
     for k in range(length):
         A_k, H_k = A[:, k * n : (k + 1) * n], H[:, k * n : (k + 1) * n]
@@ -97,6 +108,7 @@ def smoothing_step(augmented: Augmentation, length: int) -> ca.Function:
             *(m, P, Z[:, k], successors[:, k], A_k, Z[:, k + 1], readings[:, k], H_k),
             *(y[:, k], believed[:, k], q, r, floor),
         )
+        m, P = hold(m, P, held[:, k + 1], bound[:, k + 1], variances)
         predicted.append((m_prior, P_prior))
         filtered.append((m, P))
     smoothed = [m]
@@ -107,7 +119,7 @@ def smoothing_step(augmented: Augmentation, length: int) -> ca.Function:
         smoothed.append(m_k + gain @ (smoothed[-1] - m_prior))
     return ca.Function(
         "mhe_step",
-        [Z, arrival, P_0, memory, u, w_known, y, believed, p, q, r, floor],
+        [Z, arrival, P_0, held, bound, memory, u, w_known, y, believed, p, q, r, floor],
         [ca.horzcat(*reversed(smoothed)), successors, A, readings, H],
         list(INPUTS),
         list(OUTPUTS),
@@ -136,56 +148,17 @@ def _forward(n: int, n_y: int) -> ca.Function:
     )
 
 
-def solve_bounded(
-    inputs: dict[str, FloatArray],
-    outputs: dict[str, FloatArray],
-    rows: npt.NDArray[np.intp],
-    lower: FloatArray,
-    upper: FloatArray,
-) -> tuple[Qp, FloatArray, FloatArray]:
-    """The same step with bounds, as a quadratic program.
-
-    ``inputs``, ``outputs``: of :func:`smoothing_step`, by name. ``rows``: (k,); entries of z that
-    are bounded. ``lower``, ``upper``: (k,). Returns the program in ξ, (n (length + 1),), with
-    ``centre``, (n, length + 1), and ``slopes``, (length + 1, n, n (length + 1)): the trajectory is
-    ``centre[:, k] + slopes[k] @ ξ``.
-    """
-    Z, A, H = inputs["trajectory"], outputs["A"], outputs["H"]
-    n, count = Z.shape
-    root_q, weight = np.sqrt(inputs["q"]), inputs["believed"] / inputs["r"][:, None]
-    slopes, centre = np.zeros((count, n, n * count)), np.empty((n, count))
-    slopes[0, :, :n] = np.linalg.cholesky(inputs["P"])
-    centre[:, 0] = inputs["arrival"]
-    for k in range(count - 1):
-        A_k = A[:, k * n : (k + 1) * n]
-        centre[:, k + 1] = outputs["moved"][:, k] + A_k @ (centre[:, k] - Z[:, k])
-        slopes[k + 1] = A_k @ slopes[k]
-        own = np.arange(n * (k + 1), n * (k + 2))
-        slopes[k + 1, np.arange(n), own] += root_q
-    sensed = np.stack([H[:, k * n : (k + 1) * n] @ slopes[k + 1] for k in range(count - 1)])
-    offset = np.stack(
-        [
-            inputs["y"][:, k]
-            - outputs["seen"][:, k]
-            - H[:, k * n : (k + 1) * n] @ (centre[:, k + 1] - Z[:, k + 1])
-            for k in range(count - 1)
-        ]
-    )
-    J = sensed.reshape(-1, n * count)
-    w = weight.T.ravel()
-    limited = slopes[:, rows].reshape(-1, n * count)
-    around = centre[rows].T.ravel()
-    free = np.full(n * count, np.inf)
-    qp = Qp(
-        hessian=np.eye(n * count) + (J.T * w) @ J,
-        gradient=-J.T @ (w * offset.ravel()),
-        rows=limited,
-        lower=np.concatenate([-free, np.tile(lower, count) - around]),
-        upper=np.concatenate([free, np.tile(upper, count) - around]),
-        linear=np.full(len(limited), np.inf),
-        quadratic=np.zeros(len(limited)),
-    )
-    return qp, centre, slopes
+def _hold(n: int, rows: Sequence[int]) -> ca.Function:
+    """Mean and covariance with some entries at their bounds, one after another."""
+    m, P = ca.SX.sym("m", n), ca.SX.sym("P", n, n)
+    held, bound, variances = (ca.SX.sym(name, len(rows)) for name in ("held", "bound", "variances"))
+    m_next, P_next = m, P
+    for k, row in enumerate(rows):
+        column = P_next[:, row]
+        gain = held[k] / (column[row] + variances[k]) * column
+        m_next = m_next + gain * (bound[k] - m_next[row])
+        P_next = P_next - gain @ column.T
+    return ca.Function("hold", [m, P, held, bound, variances], [m_next, P_next])
 
 
 @dataclass
@@ -203,7 +176,6 @@ class MheState:
     rows: npt.NDArray[np.intp]  #: (k,) int array; entries of z that have bounds
     lower: FloatArray  #: (k,) arrays
     upper: FloatArray  #: (k,) arrays
-    workspace: Any  #: Of the QP solver
     filled: int = -1  #: Samples since the window was begun, −1 before the first
     #: Samples at which a full window gave no estimate and the arrival filter's stood
     fallbacks: int = 0
@@ -231,7 +203,8 @@ class Mhe(FilterOptions):
         """A fresh state; see :class:`trms_cli.observers.observer.Observer`."""
         augmented = augment(setup, self)
         length = max(1, round(self.horizon / setup.sample_time))
-        function = BufferedFunction(smoothing_step(augmented, length))
+        rows, lower, upper = self._bounds(augmented)
+        function = BufferedFunction(smoothing_step(augmented, length, rows.tolist()))
         shape = function.function
         # Columns are samples, also where there is only one of them.
         inputs = {
@@ -246,7 +219,6 @@ class Mhe(FilterOptions):
         inputs["q"][:], inputs["r"][:] = augmented.q, augmented.r
         inputs["floor"][:] = augmented.floor
         n = augmented.n
-        rows, lower, upper = self._bounds(augmented)
         return MheState(
             arrival=self._filter().start(setup, augmented),
             augmented=augmented,
@@ -258,7 +230,6 @@ class Mhe(FilterOptions):
             rows=rows,
             lower=lower,
             upper=upper,
-            workspace=Daqp().start(),
         )
 
     def step(
@@ -281,6 +252,7 @@ class Mhe(FilterOptions):
             solved = self._solve(state, best)
             if solved is None:
                 state.fallbacks += 1
+                state.inputs["held"][...] = 0.0
                 state.inputs["trajectory"][...] = state.means
             else:
                 best = solved
@@ -291,25 +263,16 @@ class Mhe(FilterOptions):
 
     def _solve(self, state: MheState, filtered: FloatArray) -> FloatArray | None:
         """The newest state of the best trajectory, (n,); None where there is none."""
-        inputs, outputs = state.inputs, state.outputs
+        inputs = state.inputs
         inputs["arrival"][:] = state.means[:, 0]
         inputs["P"][...] = state.covariances[0]
-        lower, upper = state.lower[:, None], state.upper[:, None]
-        at_bound = False
         for _ in range(self.iterations):
-            state.function()
-            trajectory = outputs["smoothed"]
-            if not np.isfinite(trajectory).all():
+            trajectory = _within_bounds(state)
+            if trajectory is None:
                 return None
-            bounded_rows = trajectory[state.rows]
-            if state.rows.size and ((bounded_rows < lower) | (bounded_rows > upper)).any():
-                within = _within_bounds(state)
-                if within is None:
-                    return None
-                at_bound, trajectory = True, within
             inputs["trajectory"][...] = trajectory
         best = inputs["trajectory"][:, -1].copy()
-        if at_bound:
+        if inputs["held"].any():
             state.bounded += 1
             return best
         spread = np.sqrt(np.diag(state.arrival.function.inputs[1]))
@@ -356,6 +319,8 @@ def _remember(state: MheState, memory: FloatArray) -> None:
     for name, value in zip(_KEPT, (memory, u, w_known, y, believed), strict=True):
         inputs[name][:, :-1] = inputs[name][:, 1:]
         inputs[name][:, -1] = value
+    for name in ("held", "bound"):
+        inputs[name][:, :-1] = inputs[name][:, 1:]
     for columns in (state.means, inputs["trajectory"]):
         columns[:, :-1] = columns[:, 1:]
         columns[:, -1] = state.arrival.function.inputs[0]
@@ -366,13 +331,34 @@ def _remember(state: MheState, memory: FloatArray) -> None:
 
 def _within_bounds(state: MheState) -> FloatArray | None:
     """The trajectory of the present linearisation within the bounds; None if there is none."""
-    qp, centre, slopes = solve_bounded(
-        state.inputs, state.outputs, state.rows, state.lower, state.upper
-    )
-    result = Daqp().solve(state.workspace, qp)
-    if not result.solved:
-        return None
-    return centre + (slopes @ result.z).T
+    held, bound, rows = state.inputs["held"], state.inputs["bound"], state.rows
+    lower, upper = state.lower[:, None], state.upper[:, None]
+    sd = np.sqrt(state.covariances[0][rows, rows])[:, None]
+    for round_ in range(_ROUNDS):
+        state.function()
+        trajectory = state.outputs["smoothed"]
+        if not np.isfinite(trajectory).all():
+            return None
+        z = trajectory[rows]
+        if not held.any() and (z >= lower).all() and (z <= upper).all():
+            return trajectory
+        is_lower = np.where(held, bound - lower < upper - bound, lower - z > z - upper)
+        edge = np.where(is_lower, lower, upper)
+        outwards = np.where(is_lower, -1.0, 1.0) * (z - np.where(held, bound, edge))
+        wrong = (outwards > np.where(held, -_ON_BOUND, _ON_BOUND) * sd) != held
+        if not wrong.any():
+            off = np.where(held, z - edge, 0.0)
+            if (np.abs(off) <= _ACCURACY * sd).all():
+                return trajectory
+            bound -= off
+            continue
+        if round_ >= _AT_ONCE:
+            sample, row = np.argwhere(wrong.T)[-1]
+            wrong[:] = False
+            wrong[row, sample] = True
+        held[wrong] = 1.0 - held[wrong]
+        bound[wrong] = edge[wrong]
+    return None
 
 
 def _take_over(state: MheState, best: FloatArray) -> None:
