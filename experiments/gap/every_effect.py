@@ -214,15 +214,16 @@ def _ratio(
 def warned_of(effects: Sequence[str], report: Report) -> set[tuple[str, str, str]]:
     """Of which loops ``trms diagnose`` warns: effect, controller and reference.
 
-    As it judges a correction: the corrected model is the rig, on the references of its default
-    sine. Of squares those where the beam rests count, too.
+    As it judges a correction: the corrected model is the rig, on references of the largest
+    amplitudes. Of squares the rest counts, too.
     """
     warned = set()
+    sines = {axis: (amplitude, 0.0) for axis, amplitude in worth.LARGEST.items()}
     for k, effect in enumerate(effects, start=1):
         report(f"{k} of {len(effects)}: the loops of a diagnosis that names {effect}")
         loops = {}
         for controller in worth.JUDGED_CONTROLLERS:
-            references = worth.judged_references(["ref=sine"], controller)
+            references = worth.judged_references(sines, controller)
             for name, words in references.items():
                 words = [f"effect=[{effect}]", f"controller={controller}", *words]
                 words += [f"sim.duration={worth.DURATION:g}", "picture=false"]

@@ -9,11 +9,14 @@ from trms_cli.composition.composer import compose
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import LoopGain
 from trms_cli.gap.worth import (
+    _gain as judged,
+)
+from trms_cli.gap.worth import (
     gain_in_words,
     judged_references,
     loops_of,
+    reference_words,
     sine_within,
-    square_of,
     warning_of,
     worth_of,
 )
@@ -78,16 +81,30 @@ def test_a_loop_that_the_correction_makes_worse_is_named_with_what_to_use() -> N
     assert "pid on a sine cannot control with it: keep the model as it was" in warning_of([refused])
 
 
+def test_a_loop_is_worse_where_its_errors_grow_for_sure_also_below_the_noise() -> None:
+    def growing(*growth: float) -> LoopGain:
+        return judged("pid", "sine", 0.004 * np.array([[1.0, 1 + g] for g in growth]), 0.001)
+
+    assert growing(0.05, 0.06, 0.055).is_worse and not growing(0.05, 0.06, 0.055).is_visible
+    assert not growing(0.10, -0.05, 0.05).is_worse  # by chance
+    assert not growing(0.01, 0.011, 0.012).is_worse  # by too little
+    assert growing(0.8).is_worse and growing(0.8).is_visible
+    assert not growing(0.3).is_worse  # of one noise
+    assert growing(np.inf).is_worse
+    text = warning_of([growing(0.05, 0.06, 0.055)])
+    assert "4 → 4.2 mrad (less than its sensors' noise)" in text
+
+
 def test_loops_are_judged_on_a_sine_and_on_squares_and_at_rest() -> None:
-    sine = ["ref=sine", "ref.alpha_v.frequency=0.1", "ref.alpha_h.frequency=0.1"]
-    assert square_of([*sine, "ref.alpha_v.amplitude=0.2"]) == [
-        "ref=square", "ref.alpha_v.frequency=0.05", "ref.alpha_h.frequency=0.05",
-        "ref.alpha_v.amplitude=0.2",
+    sines = {"alpha_v": (0.2, 0.0), "alpha_h": (0.5, -0.1)}
+    assert reference_words("square", sines, 0.1) == [
+        "ref=square", "ref.alpha_v.frequency=0.1", "ref.alpha_v.amplitude=0.2",
+        "ref.alpha_h.frequency=0.1", "ref.alpha_h.offset=-0.1",
     ]  # fmt: skip
     common = ["model=newtonian", "controller=pid", "sim.duration=30"]
     experiments = {
         ("pid", name): experiment_of(compose([*common, *words]).config)
-        for name, words in judged_references(sine, "pid").items()
+        for name, words in judged_references(sines, "pid").items()
     }
     gains = loops_of(experiments, Newtonian(parameters={"k_fhp": 1.2e-6, "k_oh": 0.03}))
     assert [(g.controller, g.reference) for g in gains] == [
@@ -98,7 +115,7 @@ def test_loops_are_judged_on_a_sine_and_on_squares_and_at_rest() -> None:
     assert rest.after < 0.3 * whole.after and limited.after < 0.3 * whole.after
     preview = {"newton_mpc": True, "pid": False}
     for controller, known_ahead in preview.items():
-        words = judged_references(sine, controller)["limited_square"]
+        words = judged_references(sines, controller)["limited_square"]
         assert ("controller.preview_horizon=40" in words) == known_ahead
 
 

@@ -152,7 +152,8 @@ class LoopGain:
     reference: str  #: ``sine``, ``square``, or ``rest``: where that square has stood still
     before: float  #: RMS tracking error over all angles with the model as it was, rad
     after: float  #: the same with the corrected model in controller and observer
-    is_worse: bool  #: whether it grows by more than 2 %, and more than the sensors' noise makes
+    is_worse: bool  #: whether it grows by more than 2 %, and for sure where it was run repeatedly
+    is_visible: bool = True  #: whether it grows by more than its sensors' noise
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from dataclasses import replace
 from time import process_time
 
 import numpy as np
+from scipy.special import stdtrit
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
@@ -40,20 +41,20 @@ _LONGEST = 10.0
 _CHANGED, _ABOVE_NOISE = 0.05, 2.5
 
 
-#: A loop counts as worse from this growth of its error on.
-_WORSE = 0.02
+#: A loop counts as worse from this growth of its error on. One that looks worse by the least is
+#: run with further noises (times in all), and is worse if its growth is above zero at a level of
+#: 95 %: what a quiet loop loses is far below its sensors' noise.
+_WORSE, _LOOKS_WORSE, _TIMES = 0.02, 0.005, 3
 #: s that a reference has to stand still before an axis counts as at rest.
 _SETTLED = 6.0
 
 
-#: Controllers whose loops are judged, on that sine and on squares of its amplitude; with what each
+#: Controllers whose loops are judged, on a sine and on squares of those amplitudes; with what each
 #: gets besides on one whose rate is limited.
 JUDGED_CONTROLLERS: Mapping[str, Sequence[str]] = {
     "newton_mpc": ("controller.preview_horizon=40",),
     "pid": (),
 }
-#: Hz of the square: each level stands still for ten seconds.
-_SQUARE_FREQUENCY = 0.05
 _REFERENCE_WORDS = {
     "sine": "on a sine",
     "square": "on a square",
@@ -94,18 +95,31 @@ def sine_within(datasets: Sequence[Dataset], axes: Sequence[str]) -> dict[str, t
     return sines
 
 
-def square_of(sine: Sequence[str]) -> list[str]:
-    """Overrides of a square of the amplitude and the offset of a sine's overrides."""
-    slow = f"={_SQUARE_FREQUENCY:g}"
-    renamed = ("ref=square" if word == "ref=sine" else word for word in sine)
-    return [w.partition("=")[0] + slow if ".frequency=" in w else w for w in renamed]
+def reference_words(
+    kind: str, sines: Mapping[str, tuple[float, float]], frequency: float | None = None
+) -> list[str]:
+    """Overrides of ``trms run`` for a reference of such amplitudes and offsets, rad, by axis.
+
+    ``frequency``: Hz; None for that of the option.
+    """
+    words = [f"ref={kind}"]
+    for axis, (amplitude, offset) in sines.items():
+        values = {"frequency": frequency, "amplitude": amplitude, "offset": offset}
+        usual = {"frequency": None, "amplitude": LARGEST[axis], "offset": 0.0}
+        words += [f"ref.{axis}.{k}={v:g}" for k, v in values.items() if v != usual[k]]
+    return words
 
 
-def judged_references(sine: Sequence[str], controller: str) -> dict[str, list[str]]:
-    """Overrides by name of the references that a controller is judged on."""
-    square = square_of(sine)
+def judged_references(
+    sines: Mapping[str, tuple[float, float]], controller: str
+) -> dict[str, list[str]]:
+    """Overrides by name of the references that a controller is judged on.
+
+    As ``trms run`` has them, but for amplitudes and offsets; see :func:`sine_within`.
+    """
+    square = reference_words("square", sines)
     limited = [*square, "shaping@ref.shaping=limited", *JUDGED_CONTROLLERS[controller]]
-    return {"sine": list(sine), "square": square, "limited_square": limited}
+    return {"sine": reference_words("sine", sines), "square": square, "limited_square": limited}
 
 
 def worth_of(
@@ -155,29 +169,51 @@ def loops_of(
     gains = []
     until = process_time() + _LONGEST
     for (controller, reference), experiment in experiments.items():
+        names = (reference, "rest")
+        pairs: list[tuple[dict[str, float], dict[str, float]]] = []
+        noise = 0.0
         try:
-            old, noise = _errors(replace(experiment, model=before), reference, until)
-            new = _errors_or_none(experiment, reference, until)
+            for seed in range(experiment.seed, experiment.seed + _TIMES):
+                noisy = replace(experiment, seed=seed)
+                old, noise = _errors(replace(noisy, model=before), reference, until)
+                new = _errors_or_none(noisy, reference, until) or dict.fromkeys(names, np.inf)
+                pairs.append((old, new))
+                growths = [new[n] / old[n] - 1 for n in names if np.isfinite(old.get(n, np.nan))]
+                if not any(_LOOKS_WORSE < growth < np.inf for growth in growths):
+                    break
         except _TooSlow:
-            break
+            if not pairs:
+                break
         except _REFUSALS:
             continue
-        for name in (reference, "rest"):
-            if not np.isfinite(old.get(name, np.nan)):
-                continue
-            error = np.inf if new is None else new.get(name, np.inf)
-            grows = not error <= (1 + _WORSE) * old[name]
-            is_worse = grows and not error - old[name] <= _ABOVE_NOISE * noise
-            gains.append(
-                LoopGain(
-                    controller=controller,
-                    reference=name,
-                    before=old[name],
-                    after=float(error),
-                    is_worse=bool(is_worse),
-                )
-            )
+        for name in names:
+            if np.isfinite(pairs[0][0].get(name, np.nan)):
+                errors = np.array([[old[name], new[name]] for old, new in pairs])
+                gains.append(_gain(controller, name, errors, noise))
     return tuple(gains)
+
+
+def _gain(controller: str, reference: str, errors: FloatArray, noise: float) -> LoopGain:
+    """Of errors with the model as it was and the corrected one, (k, 2) rad, a row a noise.
+
+    ``noise``: standard deviation of the largest sensor's, rad.
+    """
+    old, new = (float(e) for e in errors.mean(axis=0))
+    growth = np.log(errors[:, 1] / errors[:, 0])
+    is_worse = not growth.mean() <= np.log1p(_WORSE)
+    if len(growth) > 1 and np.isfinite(new):
+        error = growth.std(ddof=1) / np.sqrt(len(growth))
+        is_worse &= bool(growth.mean() > stdtrit(len(growth) - 1, 0.95) * error)
+    elif np.isfinite(new):
+        is_worse &= bool(new - old > _ABOVE_NOISE * noise)  # of one noise alone
+    return LoopGain(
+        controller=controller,
+        reference=reference,
+        before=old,
+        after=new,
+        is_worse=bool(is_worse),
+        is_visible=not new - old <= noise,
+    )
 
 
 def _errors_or_none(
@@ -207,6 +243,8 @@ def warning_of(loops: Sequence[LoopGain]) -> str:
             remedy = f"use controller={best.controller} with it ({number(scale * best.after, 2)})"
         else:
             remedy = "keep the model as it was there"
+        if not worse.is_visible:
+            figures += " (less than its sensors' noise)"
         parts.append(f"{worse.controller} {where} {figures}: {remedy}")
     if not parts:
         return ""

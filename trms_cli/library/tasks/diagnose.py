@@ -614,7 +614,13 @@ def _worth(
 ) -> Worth | None:
     """What the corrected model gains in the loop; None where none is corrected, or it cannot be."""
     from trms_cli.composition.composer import compose
-    from trms_cli.gap.worth import DURATION, JUDGED_CONTROLLERS, judged_references, worth_of
+    from trms_cli.gap.worth import (
+        DURATION,
+        JUDGED_CONTROLLERS,
+        judged_references,
+        sine_within,
+        worth_of,
+    )
     from trms_cli.library.tasks.experiment import experiment_of
 
     if applied_cause(diagnosis) is None and diagnosis.verdict != "parameters_only":
@@ -633,10 +639,11 @@ def _worth(
 
     try:
         model, duration = request.problem.model, f"sim.duration={DURATION:g}"
+        sines = sine_within(request.problem.datasets, model.controlled)
         loops = {
             (controller, name): loop([f"controller={controller}", *its_words, duration])
             for controller in JUDGED_CONTROLLERS
-            for name, its_words in judged_references(reference, controller).items()
+            for name, its_words in judged_references(sines, controller).items()
         }
         return worth_of(loop(words), model, controller=CONTROLLER, command=command, loops=loops)
     except TrmsError:
@@ -645,18 +652,13 @@ def _worth(
 
 def _reference(request: DiagnosisRequest) -> list[str]:
     """Overrides of a sine within the recorded range; none where an angle was not recorded."""
-    from trms_cli.gap.worth import FREQUENCY, LARGEST, sine_within
+    from trms_cli.gap.worth import FREQUENCY, reference_words, sine_within
 
     model = request.problem.model
     sines = sine_within(request.problem.datasets, model.controlled)
     if set(sines) != set(model.controlled):
         return []
-    words = ["ref=sine"]
-    for axis, (amplitude, offset) in sines.items():
-        values = {"frequency": FREQUENCY, "amplitude": amplitude, "offset": offset}
-        usual = {"amplitude": LARGEST[axis], "offset": 0.0}
-        words += [f"ref.{axis}.{k}={v:g}" for k, v in values.items() if v != usual.get(k)]
-    return words
+    return reference_words("sine", sines, FREQUENCY)
 
 
 def _control(
