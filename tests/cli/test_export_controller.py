@@ -49,6 +49,17 @@ def test_it_leaves_source_example_and_figures(exported):
 
 
 @needs_compiler
+def test_a_linear_mpc_is_exported_too(tmp_path, capsys):
+    folder = tmp_path / "linear"
+    words = ("observer=full_state", "controller.move_blocks=[1, 1, 2, 4]", f"out={folder}")
+    assert main(["export-controller", "linear_mpc", *SMALL, *words]) == 0
+    assert "linear_mpc: linear_mpc of model newtonian, 8 periods" in capsys.readouterr().out
+    measured = json.loads((folder / "controller.json").read_text())["measured"]
+    assert measured["failed"] == 0 and measured["largest_difference"] <= 1e-9
+    assert (folder / "README.md").read_text().startswith("# linear_mpc: Linear MPC in C\n")
+
+
+@needs_compiler
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
 def test_its_makefile_builds_and_checks(exported, tmp_path):
     folder = shutil.copytree(exported, tmp_path / "copy")

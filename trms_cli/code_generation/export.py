@@ -14,6 +14,7 @@ from trms_cli import __version__
 from trms_cli.code_generation.measure import ExampleMeasurement
 from trms_cli.code_generation.observer_source import ObserverSource, observer_source, template
 from trms_cli.controllers.controller import ControlSample, ControlSetup
+from trms_cli.controllers.linear_mpc import LinearMpc
 from trms_cli.controllers.newton.source import ControllerSource, newton_source
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.qp.riccati import Riccati
@@ -85,7 +86,7 @@ class Export:
 
     name: str  #: Prefix of all names in C
     setup: ControlSetup
-    controller: NewtonMpc
+    controller: NewtonMpc | LinearMpc
     source: ControllerSource
     observer: ObserverSource | None
     #: Content by file name; the README comes last, by :meth:`readme`
@@ -96,6 +97,7 @@ class Export:
         text = with_prefix(template("readme.md").replace("MPC_CALL", _call(self)), self.name)
         text = re.sub(r"\bmpc\b", self.name, text)
         for token, part in {
+            "KIND": _kind(self.controller),
             "SIGNALS": _signals(self),
             "FIGURES": _figures(self, measured),
             "COMMAND": command,
@@ -147,7 +149,7 @@ def export(
     part = None
     if isinstance(observer, RecursiveFilter) and observing is not None:
         part = observer_source(observer, observing)
-    title = f"Newton MPC of model {setup.model.name}, by trms {__version__}"
+    title = f"{_kind(controller)} of model {setup.model.name}, by trms {__version__}"
     preview = controller.preview(setup)
     source = newton_source(controller.problem(setup), preview, name, title, part)
     rows = example_rows(controller, setup, reference, samples)
@@ -172,11 +174,11 @@ def check_exportable(controller: Any, option: str = "") -> None:
 
     ``option``: as it was chosen, for the message.
     """
-    if not isinstance(controller, NewtonMpc):
+    if not isinstance(controller, (NewtonMpc, LinearMpc)):
         raise ConfigurationError(
             f"{f'controller={option}' if option else 'this controller'} has no C source",
             where="controller",
-            remedy="export newton_mpc: controller=newton_mpc",
+            remedy="export newton_mpc or linear_mpc: controller=newton_mpc",
         )
     if type(controller.qp) not in (Riccati, Daqp):
         raise ConfigurationError(
@@ -184,6 +186,10 @@ def check_exportable(controller: Any, option: str = "") -> None:
             where="controller.qp",
             remedy="take riccati: qp_solver@controller.qp=riccati",
         )
+
+
+def _kind(controller: NewtonMpc | LinearMpc) -> str:
+    return "Newton MPC" if isinstance(controller, NewtonMpc) else "Linear MPC"
 
 
 def _call(export: Export) -> str:

@@ -30,14 +30,14 @@ _USABLE = re.compile(r"[a-z][a-z0-9_]{0,30}")
 _TAKEN = ("mpc", "qp", "casadi", "math", "string", "float", "int", "double")
 
 HELP = """\
-usage: trms export-controller [newton_mpc] [GROUP=OPTION]… [KEY=VALUE]… [--cfg job]
+usage: trms export-controller [newton_mpc|linear_mpc] [GROUP=OPTION]… [KEY=VALUE]… [--cfg job]
        [--config-dir DIR]…
 
 Writes a controller, and the filter that observes for it, as C99 that needs nothing but libm: no
 malloc, no recursion, all memory in a struct of the caller. The folder holds NAME.c and NAME.h
 (these go to the rig), an example with recorded samples, a Makefile, and a README with signals,
 units, memory and times. It takes what `trms run` takes, so that what ran is what is exported.
-`newton_mpc` alone is short for controller=newton_mpc.
+`newton_mpc` alone is short for controller=newton_mpc, and so is `linear_mpc`.
 
 With measure=true it is compiled here and held against the Python controller, sample by sample.
 
@@ -212,8 +212,8 @@ def _lines(
 ) -> list[str]:
     sizes, name = export.source.sizes, export.name
     lines = [
-        f"{name}: newton_mpc of model {export.setup.model.name}, {sizes['N']} periods of "
-        f"{export.source.period:g} s, {sizes['N_Z']} unknowns"
+        f"{name}: {export.source.controller} of model {export.setup.model.name}, "
+        f"{sizes['N']} periods of {export.source.period:g} s, {sizes['N_Z']} unknowns"
         + (
             ""
             if export.observer is None

@@ -254,6 +254,7 @@ def _units(signals: Any) -> str:
 class ControllerSource:
     """A controller in C."""
 
+    controller: str  #: Its name
     header: str
     source: str
     sizes: dict[str, int]  #: The header's sizes, without their prefix
@@ -316,6 +317,7 @@ def newton_source(
     )
     header = _header(sizes, fields, period, title, companion, more)
     return ControllerSource(
+        problem.name,
         with_prefix(header, name),
         with_prefix(source, name),
         {key: value for key, (value, _) in (sizes | more).items()},
