@@ -128,7 +128,7 @@ def generate_source(functions: Mapping[str, ca.Function]) -> GeneratedFunctions:
     dense: dict[str, ca.Function] = {}
     for name, function in functions.items():
         used_names = {other.name() for other in dense.values()}
-        dense[name] = share_reciprocals(
+        dense[name] = share_slow_operations(
             densify_outputs(
                 function,
                 f"{function.name()}_{len(dense)}" if function.name() in used_names else None,
@@ -158,11 +158,12 @@ def densify_outputs(function: ca.Function, name: str | None = None) -> ca.Functi
     return ca.Function(name or function.name(), arguments, results)
 
 
-def share_reciprocals(function: ca.Function) -> ca.Function:
-    """The same function, where whatever divides more than once does so once.
+def share_slow_operations(function: ca.Function) -> ca.Function:
+    """The same function, where what takes long is done once and used again.
 
-    Slopes divide a whole row by the same inertia, and a division takes as long as five products.
-    Results change in their last digits.
+    Whatever divides more than once does so once: slopes divide a whole row by the same inertia, and
+    a division takes as long as five products. The sine of a double angle comes from sine and cosine
+    of the angle, where these are there. Results change in their last digits.
 
     ``function``: returned as it is where it is not of scalars (SX).
     """
@@ -171,9 +172,14 @@ def share_reciprocals(function: ca.Function) -> ca.Function:
     inputs = function.sx_in()
     outputs: list[list[ca.SX]] = [[] for _ in range(function.n_out())]
     elements = [argument.nonzeros() for argument in inputs]
-    uses = Counter(divisor for _, divisor in _divisions(function))
-    divided = dict(_divisions(function))
+    operands = dict(_operands(function))
+    divided = {
+        k: makers[1] for k, makers in operands.items() if function.instruction_id(k) == ca.OP_DIV
+    }
+    uses = Counter(divided.values())
+    doubled = _sines_of_double_angles(function, operands)
     values: dict[int, ca.SX] = {}  # by their place in the function's memory
+    made: dict[int, ca.SX] = {}  # by the instruction that made them
     reciprocals: dict[int, ca.SX] = {}  # by the instruction that made the divisor
     simplifies = ca.GlobalOptions.getSimplificationOnTheFly()
     ca.GlobalOptions.setSimplificationOnTheFly(False)  # it makes divisions of the products again
@@ -181,21 +187,26 @@ def share_reciprocals(function: ca.Function) -> ca.Function:
         for k in range(function.n_instructions()):
             kind = function.instruction_id(k)
             at, to = function.instruction_input(k), function.instruction_output(k)
-            if kind == ca.OP_INPUT:
-                values[to[0]] = elements[at[0]][at[1]]
-            elif kind == ca.OP_CONST:
-                values[to[0]] = ca.SX(function.instruction_constant(k))
-            elif kind == ca.OP_OUTPUT:
+            if kind == ca.OP_OUTPUT:
                 outputs[to[0]].append(values[at[0]])
+                continue
+            if kind == ca.OP_INPUT:
+                result = elements[at[0]][at[1]]
+            elif kind == ca.OP_CONST:
+                result = ca.SX(function.instruction_constant(k))
             elif uses[divided.get(k, -1)] > 1:
                 divisor = divided[k]
                 if divisor not in reciprocals:
                     reciprocals[divisor] = 1 / values[at[1]]
-                values[to[0]] = values[at[0]] * reciprocals[divisor]
+                result = values[at[0]] * reciprocals[divisor]
+            elif k in doubled:
+                sine, cosine = (made[other] for other in doubled[k])
+                result = 2 * sine * cosine
             elif len(at) == 1:
-                values[to[0]] = ca.SX.unary(kind, values[at[0]])
+                result = ca.SX.unary(kind, values[at[0]])
             else:
-                values[to[0]] = ca.SX.binary(kind, values[at[0]], values[at[1]])
+                result = ca.SX.binary(kind, values[at[0]], values[at[1]])
+            values[to[0]] = made[k] = result
     finally:
         ca.GlobalOptions.setSimplificationOnTheFly(simplifies)
     results = [
@@ -207,15 +218,34 @@ def share_reciprocals(function: ca.Function) -> ca.Function:
     return ca.Function(function.name(), inputs, results, *names)
 
 
-def _divisions(function: ca.Function) -> Iterator[tuple[int, int]]:
-    """Each division with the instruction that made its divisor."""
+def _operands(function: ca.Function) -> Iterator[tuple[int, tuple[int, ...]]]:
+    """Each operation with the instructions that made its operands."""
     makers: dict[int, int] = {}
     for k in range(function.n_instructions()):
         kind = function.instruction_id(k)
-        if kind == ca.OP_DIV:
-            yield k, makers[function.instruction_input(k)[1]]
-        if kind != ca.OP_OUTPUT:
-            makers[function.instruction_output(k)[0]] = k
+        if kind == ca.OP_OUTPUT:
+            continue
+        if kind not in (ca.OP_INPUT, ca.OP_CONST):
+            yield k, tuple(makers[place] for place in function.instruction_input(k))
+        makers[function.instruction_output(k)[0]] = k
+
+
+def _sines_of_double_angles(
+    function: ca.Function, operands: Mapping[int, tuple[int, ...]]
+) -> dict[int, tuple[int, int]]:
+    """Each sine of twice an angle with the instructions before it that made the angle's sine and
+    cosine."""
+    known: dict[tuple[int, int], int] = {}
+    double: dict[int, tuple[int, int]] = {}
+    for k, (angle, *_) in operands.items():
+        kind = function.instruction_id(k)
+        if kind == ca.OP_SIN and function.instruction_id(angle) == ca.OP_TWICE:
+            (half,) = operands[angle]
+            pair = known.get((ca.OP_SIN, half)), known.get((ca.OP_COS, half))
+            if pair[0] is not None and pair[1] is not None:
+                double[k] = pair[0], pair[1]
+        known[kind, angle] = k
+    return double
 
 
 def _plain(text: str, entries: Mapping[str, str]) -> str:
