@@ -8,10 +8,10 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch
 
 from trms_cli.core import wording
 from trms_cli.core.chart import RigDiagram, Share
+from trms_cli.reporting.block_diagram import Block, branch, draw_box, wire, word
 from trms_cli.reporting.style import GREY, INK, PALE, PALETTE, PAPER, house_style, new_figure
 
 #: Size of a box, and the pitch of columns and rows, in units of the drawing.
@@ -89,19 +89,17 @@ def diagram(chart: RigDiagram) -> Figure:
 
 def _draw(panel: Axes, box: _Box, place: Share | None, is_recorded: bool) -> None:
     share = 0.0 if place is None else max(0.0, min(1.0, place[0]))
-    panel.add_patch(
-        FancyBboxPatch(
-            (box.x - _WIDE / 2, box.y - _HIGH / 2),
-            _WIDE,
-            _HIGH,
-            boxstyle="round,pad=0,rounding_size=0.09",
-            facecolor=_mixed(share / _DARKEST),
-            edgecolor=INK if place is not None else GREY,
-            linewidth=1.8 if share >= 0.5 else 0.9,
-            linestyle="-" if is_recorded or place is not None else (0, (3, 2)),
-            zorder=3,
-        )
+    block = Block(
+        box.x,
+        box.y,
+        box.title,
+        wide=_WIDE,
+        high=_HIGH,
+        fill=_mixed(share / _DARKEST),
+        edge=INK if place is not None else GREY,
+        dashed=not is_recorded and place is None,
     )
+    draw_box(panel, block, line_width=1.8 if share >= 0.5 else 0.9)
     ink = PAPER if share > 0.6 else (INK if place is not None else GREY)
     look: dict[str, Any] = {"ha": "center", "va": "center", "color": ink, "zorder": 4}
     if place is None:
@@ -131,35 +129,24 @@ def _wires(panel: Axes, boxes: Mapping[str, _Box], sides: Sequence[str]) -> None
         chain += [boxes[f"{axis}_{part}"] for part in ("moment", "sensor")]
         y = chain[0].y
         for left, right in pairwise(chain):
-            _arrow(panel, (left.x + _WIDE / 2, y), (right.x - _WIDE / 2, y))
-        _arrow(panel, (chain[0].x - _WIDE / 2 - 0.42, y), (chain[0].x - _WIDE / 2, y))
-        _word(panel, chain[0].x - _WIDE / 2 - 0.62, y, command)
+            wire(panel, [(left.x + _WIDE / 2, y), (right.x - _WIDE / 2, y)])
+        wire(panel, [(chain[0].x - _WIDE / 2 - 0.42, y), (chain[0].x - _WIDE / 2, y)])
+        word(panel, chain[0].x - _WIDE / 2 - 0.62, y, command)
         end = chain[-1].x + _WIDE / 2
-        _arrow(panel, (end, y), (end + 0.42, y))
-        _word(panel, end + 0.62, y, angle)
+        wire(panel, [(end, y), (end + 0.42, y)])
+        word(panel, end + 0.62, y, angle)
         tacho = boxes[f"{rotor}_tacho"]
-        branch = (chain[1].x + chain[2].x) / 2
+        fork = (chain[1].x + chain[2].x) / 2
         inner = tacho.y - _HIGH / 2 if tacho.y > 0 else tacho.y + _HIGH / 2
-        panel.plot([branch], [y], marker="o", ms=3.5, color=GREY, zorder=2)
-        _arrow(panel, (branch, y), (branch, inner))
-        _arrow(panel, (tacho.x + _WIDE / 2, tacho.y), (tacho.x + _WIDE / 2 + 0.42, tacho.y))
-        _word(panel, tacho.x + _WIDE / 2 + 0.64, tacho.y, speed)
+        branch(panel, (fork, y))
+        wire(panel, [(fork, y), (fork, inner)])
+        wire(panel, [(tacho.x + _WIDE / 2, tacho.y), (tacho.x + _WIDE / 2 + 0.42, tacho.y)])
+        word(panel, tacho.x + _WIDE / 2 + 0.64, tacho.y, speed)
     if len(sides) < 2:
         return
     x = boxes["pitch_moment"].x
     for side, up in ((-0.16, True), (0.16, False)):
         ends = (_ROWS["main"] - _HIGH / 2, _ROWS["tail"] + _HIGH / 2)
         start, stop = ends if not up else ends[::-1]
-        _arrow(panel, (x + side, start), (x + side, stop), colour=PALE)
+        wire(panel, [(x + side, start), (x + side, stop)], colour=PALE)
     panel.text(x + 0.3, 0.0, "cross\ncoupling", ha="left", va="center", color=GREY, size=7)
-
-
-def _arrow(
-    panel: Axes, start: tuple[float, float], end: tuple[float, float], colour: str = GREY
-) -> None:
-    style = {"arrowstyle": "-|>", "color": colour, "lw": 1.1, "shrinkA": 0, "shrinkB": 0}
-    panel.annotate("", xy=end, xytext=start, arrowprops=style, zorder=2)
-
-
-def _word(panel: Axes, x: float, y: float, text: str) -> None:
-    panel.text(x, y, text, ha="center", va="center", color=INK, size=10)
