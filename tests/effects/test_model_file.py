@@ -36,6 +36,24 @@ def test_a_parameter_set_is_a_model_also_as_an_option(written):
         assert model.input_limits == Newtonian().input_limits
 
 
+def test_a_set_may_stand_in_the_place_of_parameters(tmp_path):
+    path = tmp_path / "rig.yaml"
+    effects = "effects: {yaw_coulomb_friction: {torque: 0.004}}"
+    for limits in ("", "limits: {u_v: 1.0}\n"):
+        path.write_text(f"name: rig\nmodel: newtonian\nparameters: rahideh\n{limits}{effects}\n")
+        model = load_model(str(path))
+        expected = Newtonian(parameter_set="rahideh")
+        assert model.parameters.names[:-1] == expected.parameters.names
+        np.testing.assert_array_equal(model.parameters.values[:-1], expected.parameters.values)
+        assert model.parameters.values[-1] == 0.004
+        assert model.input_limits["u_v"] == (1.0 if limits else expected.input_limits["u_v"])
+    for name in ("rahidey", str(path), "../model/newtonian"):
+        path.write_text(f"name: rig\nmodel: newtonian\nparameters: {name}\n")
+        with pytest.raises(ConfigurationError, match="no parameter set") as caught:
+            load_model(str(path))
+        assert "rahideh" in caught.value.remedy
+
+
 def test_effects_come_with_their_sizes_and_names(rig, written):
     """Those of the library, and one that is written out under a name of its own."""
     own = {"_target_": "trms_cli.effects.actuator_lag.ActuatorLag", "rotor": "tail"}

@@ -249,13 +249,20 @@ def read_named(
 def parse_parameter_file(text: str | bytes, source: str) -> ParameterFile:
     """Check the text of a parameter file.
 
-    Raises ModelError with the place in the file.
+    Where a set's name stands in the place of parameters, they are that set's, and so are the limits
+    unless the file has its own.
+
+    Raises ModelError with the place in the file. Raises ConfigurationError for a set that there is
+    not.
     """
     import yaml
 
     try:
         # A copy: what is kept stays as it was read.
-        return msgspec.convert(deepcopy(_content_of(text)), ParameterFile)
+        content: Any = deepcopy(_content_of(text))
+        if isinstance(content, dict) and isinstance(content.get("parameters"), str):
+            return _with_values_of(content, source)
+        return msgspec.convert(content, ParameterFile)
     except yaml.YAMLError as error:
         raise ModelError(
             f"not valid YAML: {str(error).splitlines()[0]}",
@@ -268,6 +275,21 @@ def parse_parameter_file(text: str | bytes, source: str) -> ParameterFile:
             where=source,
             remedy="a model file has name, model, parameters: {NAME: {value, unit, …}}, limits",
         ) from None
+
+
+def _with_values_of(content: dict[str, Any], source: str) -> ParameterFile:
+    """A file that names a built-in set in the place of parameters."""
+    name, where = content["parameters"], f"{source}: parameters"
+    known = [file.stem for file in (config_folder() / "parameters").glob("*.yaml")]
+    require_known(name, known, f"there is no parameter set {name!r}", where)
+    values = parameter_file(name)
+    own = msgspec.convert(content | {"parameters": {}}, ParameterFile)
+    return msgspec.structs.replace(
+        own,
+        parameters=values.parameters,
+        limits=own.limits or values.limits,
+        source=own.source or values.source,
+    )
 
 
 @lru_cache(maxsize=16)
