@@ -225,6 +225,8 @@ class _Kinematics:
 
         ``rates``: (m,) arrays of the states that are measured.
         """
+        if not self._momenta:
+            return x
         m, angles = len(x), self._angles
         arguments = np.repeat(p[:, None], m, axis=1), np.zeros((self._model.n_w, m))
         values = self._function.map(m)(x.T, u.T, *arguments)
