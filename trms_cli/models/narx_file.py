@@ -18,14 +18,14 @@ The network is a model of a rig in the place of equations: with the output y, th
 their samples of before (k counts the model's own samples)::
 
     ŷ(k+1) = N(y(k), …, y(k − l), u(k), …, u(k − m))           or y(k) + N(…), incremental
+
     y_j(k+1) = ŷ_j(k+1) + T² w_j       for an angle
     y_j(k+1) = ŷ_j(k+1) + T w_j        for a speed
 
 The state is y(k) under the outputs' own names, then the outputs and inputs that are remembered
 (``alpha_v_lag1`` is alpha_v one sample ago). The disturbances w are accelerations: a constant one
 moves the output of a network of second order as a constant torque moves the rig, whatever the
-sample time. One for each output lets an observer explain any constant difference between the rig
-and the network.
+sample time.
 
 The weights are constants of the model and no parameters: there is no prior on them and no meaning
 to one of them.
@@ -42,38 +42,37 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ModelError, TrmsError
-from trms_cli.core.plugins import require_known
-from trms_cli.models.discrete import SteppedModel
-from trms_cli.models.model import FloatArray, Model, RigAxis, Signal
+from trms_cli.models.black_box import (
+    ANGLE,
+    BlackBox,
+    check_file,
+    mapping_at,
+    mapping_of,
+    numbers_at,
+    remembered_signals,
+)
+from trms_cli.models.model import FloatArray, Model, Signal
 from trms_cli.models.network import NarxStructure, Network
-from trms_cli.models.parameters import ParameterSet, check_limits, read_named
+from trms_cli.models.parameters import read_named
 from trms_cli.models.rest import rest_equations
 
 #: Value of ``model`` in a network file.
 KIND = "narx"
 _REQUIRED = ("name", "model", "structure", "network")
 _OPTIONAL = ("source", "rig", "limits", "training", "effects")
-#: RigAxis of each angle and input of each rotor, as other models name them.
-_AXES = {"alpha_v": "pitch", "alpha_h": "yaw"}
-_ROTORS = {"u_v": "main", "u_h": "tail"}
-_ANGLE = "rad"
-#: Bound of a command that no limit is given for, by unit.
-_LIMITS = {"V": 2.5, "1": 1.0}
 #: Newton steps to the rest, and the seconds of free run before them.
 _ITERATIONS, _SETTLING = 50, 60.0
 _AT_REST = 1e-10
 
 
-class Narx(SteppedModel):
+class Narx(BlackBox):
     """A network that predicts the next outputs from past outputs and commands.
 
     Raises ModelError if network and structure do not fit, or a limit names no input or angle.
 
     ``structure``: what the regressor is made of. ``network``: of as many regressors and outputs as
-    the structure has. ``limits``: symmetric bounds by input, and mechanical stops by angle (rad).
-    Inputs without one have 2.5 V, or 1 for normalised commands.
+    the structure has. ``limits``: as :class:`trms_cli.models.black_box.BlackBox` takes them.
     """
 
     def __init__(
@@ -85,29 +84,14 @@ class Narx(SteppedModel):
         limits: Mapping[str, float] | None = None,
     ) -> None:
         _check_fit(structure, network)
-        self.name, self.structure, self.network = name, structure, network
-        self.sample_time = structure.sample_time
-        self.outputs = tuple(map(Signal, structure.outputs, structure.output_units))
-        self.inputs = tuple(map(Signal, structure.inputs, structure.input_units))
-        remembered = [
-            *_remembered(self.outputs, structure.output_lags[-1] - 1),
-            *_remembered(self.inputs, structure.input_lags[-1] - 1),
+        self.structure, self.network = structure, network
+        outputs = tuple(map(Signal, structure.outputs, structure.output_units))
+        inputs = tuple(map(Signal, structure.inputs, structure.input_units))
+        memory = [
+            *remembered_signals(outputs, structure.output_lags[-1] - 1),
+            *remembered_signals(inputs, structure.input_lags[-1] - 1),
         ]
-        self.states = (*self.outputs, *remembered)
-        self.disturbances = tuple(
-            Signal(f"{y.name}_push", _acceleration_unit(y), f"acceleration added to {y.name}")
-            for y in self.outputs
-        )
-        self.parameters = ParameterSet([], name)
-        angles = tuple(y.name for y in self.outputs if y.unit == _ANGLE)
-        self.controlled = angles or structure.outputs
-        bounds = limits or {}
-        # A network of one axis keeps the limits of the whole rig in its file.
-        check_limits(bounds, {*structure.inputs, *angles, *_AXES, *_ROTORS}, "limits")
-        self.input_limits = {u.name: _limit(u, bounds) for u in self.inputs}
-        self.stops = {angle: bounds.get(angle, np.inf) for angle in angles}
-        self.axes = {_AXES.get(angle, angle): RigAxis(angle, f"{angle}_push") for angle in angles}
-        self.rotors = {_ROTORS[u]: u for u in structure.inputs if u in _ROTORS}
+        super().__init__(outputs, inputs, memory, structure.sample_time, name=name, limits=limits)
         self._rest: FloatArray | None = None
 
     def transition(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
@@ -126,9 +110,6 @@ class Narx(SteppedModel):
         following += ca.DM(self._push_scale()) * w
         return ca.vertcat(following, outputs[:kept_y, 0], inputs[: inputs.shape[0] - n_u, 0])
 
-    def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        return x[: self.n_y, 0]
-
     def rest(self) -> FloatArray:
         """Where the network settles without a command, as nearly as it does."""
         if self._rest is None:
@@ -138,7 +119,7 @@ class Narx(SteppedModel):
     def _push_scale(self) -> FloatArray:
         """Change of each output in a step by a unit of its disturbance."""
         T = self.structure.sample_time
-        return np.array([T**2 if y.unit == _ANGLE else T for y in self.outputs])
+        return np.array([T**2 if y.unit == ANGLE else T for y in self.outputs])
 
 
 def _check_fit(structure: NarxStructure, network: Network) -> None:
@@ -152,31 +133,6 @@ def _check_fit(structure: NarxStructure, network: Network) -> None:
                 where=f"network.{key}",
                 remedy="structure and network belong together: take both from one training",
             )
-
-
-def _limit(command: Signal, bounds: Mapping[str, float]) -> float:
-    if command.name not in bounds and command.unit not in _LIMITS:
-        raise ModelError(
-            f"no limit for {command.name!r} in {command.unit}",
-            where=f"limits.{command.name}",
-            remedy="give the largest command",
-        )
-    return bounds.get(command.name, _LIMITS.get(command.unit, np.inf))
-
-
-def _remembered(signals: tuple[Signal, ...], count: int) -> list[Signal]:
-    """Signals one, two, … samples ago, all of one sample together."""
-    return [
-        Signal(f"{s.name}_lag{k}", s.unit, f"{s.name} {k} sample{'s' if k > 1 else ''} ago")
-        for k in range(1, count + 1)
-        for s in signals
-    ]
-
-
-def _acceleration_unit(output: Signal) -> str:
-    if output.unit in (_ANGLE, "rad/s"):
-        return "rad/s^2"
-    return f"{output.unit}/s"
 
 
 def _settled(model: Narx) -> FloatArray:
@@ -289,45 +245,20 @@ def read_narx_file(name_or_path: str, where: str = "model.path") -> NarxFile:
     Raises ConfigurationError if there is none. Raises ModelError if the content is not of the
     documented form; it names the file and the key.
     """
-    data = _plain(*read_named(name_or_path, where, "networks", "network", "network file"))
+    path, text = read_named(name_or_path, where, "networks", "network", "network file")
+    data = mapping_of(path, text, "compare it with configs/networks/narx_2dof.yaml")
     label = name_or_path
-    for key in _REQUIRED:
-        if key not in data:
-            raise ModelError(
-                f"key {key!r} is missing",
-                where=label,
-                remedy=f"a network file has {', '.join(_REQUIRED)}, and may have "
-                f"{', '.join(_OPTIONAL)}",
-            )
-    for key in data:
-        place = f"{label}: {key}"
-        require_known(str(key), (*_REQUIRED, *_OPTIONAL), f"unknown key {key!r}", place, ModelError)
-    if data["model"] != KIND:
-        raise ModelError(
-            f"{data['model']!r} given", where=f"{label}: model", remedy=f"a network is a {KIND!r}"
-        )
+    check_file(data, label, KIND, _REQUIRED, _OPTIONAL, "network")
     return NarxFile(
         name=str(data["name"]),
         structure=NarxStructure.from_data(data["structure"], f"{label}: structure"),
         network=Network.from_data(data["network"], f"{label}: network"),
-        limits=_numbers(data, "limits", label),
+        limits=numbers_at(data, "limits", label),
         source=str(data.get("source") or ""),
         rig=str(data.get("rig") or ""),
-        training=_mapping(data, "training", label),
-        effects=_mapping(data, "effects", label),
+        training=mapping_at(data, "training", label),
+        effects=mapping_at(data, "effects", label),
     )
-
-
-def is_network_file(path: str) -> bool:
-    """Whether a file that can be read says that it holds a network."""
-    from trms_cli.core.yaml_data import MOST_BYTES
-
-    file = Path(path).expanduser()
-    try:
-        data = _plain(file, read_bytes(file, MOST_BYTES))
-    except (OSError, TrmsError):
-        return False
-    return data.get("model") == KIND or "network" in data
 
 
 def write_narx_file(path: Path, content: NarxFile) -> None:
@@ -343,40 +274,3 @@ def write_narx_file(path: Path, content: NarxFile) -> None:
         width=100,
     )
     path.write_text(text, encoding="utf-8")
-
-
-def _plain(path: Path, text: bytes) -> dict[str, Any]:
-    import yaml
-
-    from trms_cli.core.yaml_data import load_yaml
-
-    try:
-        data = load_yaml(text)
-    except yaml.YAMLError as error:
-        raise ModelError(
-            f"not valid YAML: {str(error).splitlines()[0]}",
-            where=str(path),
-            remedy="compare it with configs/networks/narx_2dof.yaml",
-        ) from error
-    if not isinstance(data, dict):
-        raise ModelError("not a mapping", where=str(path), remedy=f"give {', '.join(_REQUIRED)}")
-    return data
-
-
-def _mapping(data: Mapping[str, Any], key: str, label: str) -> dict[str, Any]:
-    value = data.get(key) or {}
-    if not isinstance(value, dict):
-        raise ModelError(f"{value!r} given", where=f"{label}: {key}", remedy="give a mapping")
-    return value
-
-
-def _numbers(data: Mapping[str, Any], key: str, label: str) -> dict[str, float]:
-    values = {}
-    for name, value in _mapping(data, key, label).items():
-        try:
-            values[str(name)] = float(value)
-        except (TypeError, ValueError):
-            raise ModelError(
-                f"{value!r} given", where=f"{label}: {key}.{name}", remedy="give a number"
-            ) from None
-    return values
