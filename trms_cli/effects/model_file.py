@@ -13,7 +13,8 @@ parameter set (:class:`trms_cli.models.parameters.ParameterFile`)::
 An effect that is not in the library gives its class by ``_target_``, and all its arguments. So
 does a model that is none of the options: ``model: {_target_: own_lab.OwnModel, …}``.
 
-A trained network stands for a model too; see :mod:`trms_cli.models.narx_file` for its form.
+A trained network stands for a model too, and so does a linear model; see
+:mod:`trms_cli.models.narx_file` and :mod:`trms_cli.models.linear_file` for their forms.
 """
 
 import re
@@ -25,8 +26,9 @@ from trms_cli.core.plugins import TARGET, build, nearest, require_known
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import extend_model
+from trms_cli.models import linear_file, narx_file
+from trms_cli.models.black_box import kind_of_file
 from trms_cli.models.model import Model
-from trms_cli.models.narx_file import is_network_file, narx_of, read_narx_file
 from trms_cli.models.parameters import (
     ParameterFile,
     ParameterSet,
@@ -34,6 +36,8 @@ from trms_cli.models.parameters import (
     parameter_file,
 )
 
+#: Kinds of black box, and the key by which a file of each is known.
+_BLACK_BOXES = {narx_file.KIND: "network", linear_file.KIND: "state_space"}
 #: Of an option: what leads elsewhere names no file of ours.
 _PLAIN_NAME = re.compile(r"[\w+-]{1,100}")
 
@@ -58,10 +62,14 @@ def load_model(
     rig : Model, optional
         What a run simulates in the place of the model; it means nothing here.
     """
-    if is_network_file(path):
-        network = read_narx_file(path)
-        model: Model = narx_of(network, path)
+    kind = kind_of_file(path, _BLACK_BOXES)
+    if kind == narx_file.KIND:
+        network = narx_file.read_narx_file(path)
+        model: Model = narx_file.narx_of(network, path)
         described: Mapping[str, Mapping[str, Any]] = network.effects
+    elif kind == linear_file.KIND:
+        linear = linear_file.read_linear_file(path)
+        model, described = linear_file.linear_of(linear, path), linear.effects
     else:
         content = parameter_file(path, where="model.path")
         model = _nominal(content, path)

@@ -134,9 +134,9 @@ def equation_weights(model: Model, rows: list[int], measured_names: Set[str]) ->
     kinds = kinds_of_states(model)
     for k, i in enumerate(rows):
         name, kind = model.state_names[i], kinds[i]
-        # A known state may well be changing. The equation of an angle is its rate where there is
-        # a derivative; of a black box it is the balance of torques itself.
-        if name in measured_names and (kind != "angle" or model.sample_time is not None):
+        # A known state may well be changing. The equation of an angle is its rate where rates are
+        # states; of a black box without it is the balance of torques itself.
+        if name in measured_names and (kind != "angle" or "momentum" not in kinds):
             weights[k] = 0.0
         if kind == "momentum":
             weights[k] = _FAINT if measured_names & _angles(model) else 1.0
