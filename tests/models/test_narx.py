@@ -11,7 +11,7 @@ from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.effects.extended_model import effect_names
 from trms_cli.effects.model_file import load_model
 from trms_cli.identification.dataset import Dataset
-from trms_cli.identification.validation.validate import measured_states
+from trms_cli.identification.free_runs import measured_states
 from trms_cli.models.narx_file import Narx, NarxFile, narx, read_narx_file, write_narx_file
 from trms_cli.models.network import NarxStructure, Network
 

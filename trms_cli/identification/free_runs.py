@@ -25,6 +25,7 @@ from trms_cli.identification.greybox import map_fit
 from trms_cli.identification.greybox.windows import StartEstimator, Windows, spread_of_memory
 from trms_cli.identification.problem import FitProblem, FitResult, with_values
 from trms_cli.identification.validation.metrics import fit_percent, largest, rms
+from trms_cli.models.discrete import copied_states
 from trms_cli.models.model import Model, index_of, names
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.observers.augmentation import InitialSd
@@ -184,12 +185,54 @@ class WindowRuns:
         return np.asarray(self.dataset.measurements - self.simulated)
 
 
+def measured_states(model: Model, dataset: Dataset) -> FloatArray | None:
+    """The states at every sample, as far as measured.
+
+    Returns (n, n_x) array or None; NaN where something is missing or lies before the recording;
+    None for a model that has a derivative, or a state that is neither a measured output nor a copy
+    of one or of an input.
+    """
+    if getattr(model, "sample_time", None) is None:
+        return None
+    copies = copied_states(model)
+    measured = {name: column for column, name in enumerate(names(dataset.outputs))}
+    states = np.full((len(dataset), model.n_x), np.nan)
+    for i in range(model.n_x):
+        kind, at, delay = "x", i, 0
+        while kind == "x" and at in copies and delay <= model.n_x:
+            kind, at = copies[at]
+            delay += 1
+        if kind == "u":
+            source = dataset.commands[:, at]
+        elif model.states[at].name in measured:
+            source = dataset.measurements[:, measured[model.states[at].name]]
+        else:
+            return None
+        states[delay:, i] = source[: len(dataset) - delay]
+    return states
+
+
+def filled_states(values: FloatArray) -> FloatArray:
+    """Missing values replaced by the last present one (at the beginning by the first)."""
+    filled = values.copy()
+    for column in filled.T:
+        present = ~np.isnan(column)
+        if not present.any():
+            column[:] = 0.0
+            continue
+        latest = np.maximum.accumulate(np.where(present, np.arange(len(column)), 0))
+        column[:] = column[latest]
+        column[: int(np.argmax(present))] = column[int(np.argmax(present))]
+    return filled
+
+
 def window_runs(
     model: Model, datasets: Sequence[Dataset], length: float, *, jobs: int = 1
 ) -> list[WindowRuns]:
     """Free runs over windows of ``length`` s end to end, of the model with the values to be judged.
 
-    A recording that is too short for any window is left out.
+    A recording that is too short for any window is left out. A black box whose states all are
+    measured, or remembered from what is, starts from those measurements.
     """
     runs = []
     rollouts: dict[float, Rollout] = {}
@@ -201,11 +244,8 @@ def window_runs(
             continue
         first, count = dataset.part(history, len(dataset)).windows(length)
         first = first + history
-        begin = first - history
-        prior = StartEstimator(rollout, dataset, begin).at(model.parameters.values)
+        starts = _starts(model, dataset, rollout, first, history)
         with np.errstate(all="ignore"):
-            guess = with_memory(rollout, dataset, begin, prior.states[:, : model.n_x])
-            _, starts = fitted_starts(rollout, dataset, begin, history, guess)
             y = rollout.outputs(dataset.commands, first, count, starts).y
         simulated = np.full(dataset.measurements.shape, np.nan)
         columns = output_columns(model, dataset)
@@ -213,6 +253,22 @@ def window_runs(
         simulated[samples] = np.where(np.isfinite(y[:, columns]), y[:, columns], np.inf)
         runs.append(WindowRuns(dataset, simulated, first))
     return runs
+
+
+def _starts(
+    model: Model, dataset: Dataset, rollout: Rollout, first: IntArray, history: int
+) -> FloatArray:
+    """States at the first samples of windows, from what lies before them, (m, rollout.n_x)."""
+    if model.sample_time == dataset.sample_time:
+        states = measured_states(model, dataset)
+        if states is not None:
+            return with_memory(rollout, dataset, first, filled_states(states)[first])
+    begin = first - history
+    prior = StartEstimator(rollout, dataset, begin).at(model.parameters.values)
+    with np.errstate(all="ignore"):
+        guess = with_memory(rollout, dataset, begin, prior.states[:, : model.n_x])
+        _, starts = fitted_starts(rollout, dataset, begin, history, guess)
+    return starts
 
 
 def error_figures(runs: Sequence[WindowRuns]) -> dict[str, dict[str, Any]]:

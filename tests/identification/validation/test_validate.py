@@ -11,6 +11,7 @@ from tests.identification.greybox.rigs import SAMPLE, dataset_of, measuring
 from tests.identification.validation.known_rig import QUANTUM, model, recording
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.dataset import Dataset
+from trms_cli.identification.free_runs import measured_states
 from trms_cli.identification.validation.document import document_of
 from trms_cli.identification.validation.findings import (
     lead_of,
@@ -25,7 +26,6 @@ from trms_cli.identification.validation.validate import (
     WindowOptions,
     calibrate_tests,
     matched_tail,
-    measured_states,
     validate_all,
 )
 from trms_cli.models.driven_model import DrivenModel

@@ -23,6 +23,17 @@ from trms_cli.models.network import NarxStructure, Network
 _LEAST_SPREAD = 1e-9
 
 
+class SampledSignals(Protocol):
+    """Which signals a model has, and how often it steps."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]: ...
+    @property
+    def inputs(self) -> tuple[str, ...]: ...
+    @property
+    def sample_time(self) -> float: ...
+
+
 @dataclass(frozen=True)
 class Samples:
     """One recording at a network's sample time."""
@@ -46,24 +57,29 @@ class Scaling:
     level_sd: FloatArray  #: (n_y,) array; of the outputs themselves: the scale of simulation errors
 
 
-def sample_signals(dataset: Dataset, structure: NarxStructure, smoothing: float = 0.0) -> Samples:
+def sample_signals(
+    dataset: Dataset,
+    structure: SampledSignals,
+    smoothing: float = 0.0,
+    key: str = "method.regressors.sample_time",
+) -> Samples:
     """The signals of a structure from a recording, at the structure's sample time.
 
     Of the outputs every d-th sample is taken; a command is the mean over the d samples.
 
     ``smoothing``: s, length of a cubic Savitzky–Golay window over the outputs before samples are
-    taken; 0 for none. It looks ahead, so it is for fitting only. Raises RecordingError if the
-    sample times have no whole ratio, a signal is missing, or a channel has no sample.
+    taken; 0 for none. It looks ahead, so it is for fitting only. ``key``: where the
+    configuration has the sample time, for messages. Raises RecordingError if the sample times have
+    no whole ratio, a signal is missing, or a channel has no sample.
     """
     ratio = structure.sample_time / dataset.sample_time
     step = round(ratio)
     if step < 1 or abs(ratio - step) > 1e-6 * ratio:
         raise RecordingError(
-            f"the recording is sampled each {dataset.sample_time:g} s and the network each "
+            f"the recording is sampled each {dataset.sample_time:g} s and the model each "
             f"{structure.sample_time:g} s",
             where=dataset.source,
-            remedy="choose a whole multiple: method.regressors.sample_time="
-            f"{max(1, step) * dataset.sample_time:g}",
+            remedy=f"choose a whole multiple: {key}={max(1, step) * dataset.sample_time:g}",
         )
     outputs = _columns(dataset, structure.outputs, dataset.measurements, names(dataset.outputs))
     inputs = _columns(dataset, structure.inputs, dataset.commands, names(dataset.inputs))

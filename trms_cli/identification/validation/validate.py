@@ -37,14 +37,15 @@ from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import (
+    filled_states,
     fitted_starts,
+    measured_states,
     output_columns,
     simulated_windows,
     with_memory,
 )
 from trms_cli.identification.validation import metrics
 from trms_cli.identification.validation.residual_tests import ResidualTests, residual_tests
-from trms_cli.models.discrete import copied_states
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.observers.observer import ObserverSetup
@@ -112,33 +113,6 @@ class ValidationOptions:
                 where="horizons",
                 remedy="give one or more times in s, rising: 'horizons=[0.1,0.5,2,10]'",
             )
-
-
-def measured_states(model: Model, dataset: Dataset) -> FloatArray | None:
-    """The states at every sample, as far as measured.
-
-    Returns (n, n_x) array or None; NaN where something is missing or lies before the recording;
-    None for a model that has a derivative, or a state that is neither a measured output nor a copy
-    of one or of an input.
-    """
-    if getattr(model, "sample_time", None) is None:
-        return None
-    copies = copied_states(model)
-    measured = {name: column for column, name in enumerate(names(dataset.outputs))}
-    states = np.full((len(dataset), model.n_x), np.nan)
-    for i in range(model.n_x):
-        kind, at, delay = "x", i, 0
-        while kind == "x" and at in copies and delay <= model.n_x:
-            kind, at = copies[at]
-            delay += 1
-        if kind == "u":
-            source = dataset.commands[:, at]
-        elif model.states[at].name in measured:
-            source = dataset.measurements[:, measured[model.states[at].name]]
-        else:
-            return None
-        states[delay:, i] = source[: len(dataset) - delay]
-    return states
 
 
 #: Kinds of states whose process noise is scaled together; the others are the drive's.
@@ -373,7 +347,7 @@ def free_runs(
     shortest = min(firsts)
     every = firsts[shortest]
     if remembered is not None:
-        starts = _filled(remembered)[every]
+        starts = filled_states(remembered)[every]
     elif options.windows.start != "moving_horizon":
         before = with_memory(rollout, dataset, every - 1, one_step.states[every - 1])
         ones = np.ones_like(every)
@@ -402,7 +376,7 @@ def _errors(
 ) -> metrics.WindowErrors:
     simulated = simulated_windows(rollout, dataset, first, samples, starts)
     measured = dataset.measurements[first[:, None] + np.arange(samples)]
-    last_values = _filled(dataset.measurements)[np.maximum(first - 1, 0)]
+    last_values = filled_states(dataset.measurements)[np.maximum(first - 1, 0)]
     return metrics.WindowErrors(
         names(dataset.outputs),
         first,
@@ -410,20 +384,6 @@ def _errors(
         measured,
         measured - last_values[:, None, :],
     )
-
-
-def _filled(values: FloatArray) -> FloatArray:
-    """Missing values replaced by the last present one (at the beginning by the first)."""
-    filled = values.copy()
-    for column in filled.T:
-        present = ~np.isnan(column)
-        if not present.any():
-            column[:] = 0.0
-            continue
-        latest = np.maximum.accumulate(np.where(present, np.arange(len(column)), 0))
-        column[:] = column[latest]
-        column[: int(np.argmax(present))] = column[int(np.argmax(present))]
-    return filled
 
 
 #: Called with a word on what is being done.

@@ -126,7 +126,7 @@ def identification_of(composition: Composition) -> Identification:
     data = build(config["data"], "data")
     driven = several(options.driven, "driven")
     if not method.fits_parameters:
-        _refuse_for_networks(options, driven)
+        _refuse_for_black_boxes(options, driven)
     simulated = driven_model(model, driven)
     free, idle = _free(simulated, options, method)
     loaded = load_datasets(several(options.real, "real"), model, data)
@@ -191,8 +191,8 @@ def _parts(
     return fitted, tuple(dataset for dataset in validation_parts if len(dataset) >= _FEWEST_SAMPLES)
 
 
-def _refuse_for_networks(options: IdentifyOptions, driven: Sequence[str]) -> None:
-    """Refuse what only a fit of equations can heed: a training would drop it without a word."""
+def _refuse_for_black_boxes(options: IdentifyOptions, driven: Sequence[str]) -> None:
+    """Refuse what only a fit of equations can heed: a black box would drop it without a word."""
     settings = {
         "driven": driven,
         "free": several(options.free, "free") not in (("priors",), ["priors"]),
@@ -202,7 +202,7 @@ def _refuse_for_networks(options: IdentifyOptions, driven: Sequence[str]) -> Non
     for key, value in settings.items():
         if value:
             raise ConfigurationError(
-                f"a network has no parameters of a model, and {key} is given",
+                f"a black box has no parameters of a model, and {key} is given",
                 where=key,
                 remedy=f"leave {key} out, or fit a model: method=multiple_shooting",
             )
@@ -211,7 +211,7 @@ def _refuse_for_networks(options: IdentifyOptions, driven: Sequence[str]) -> Non
 def _free(
     model: Model, options: IdentifyOptions, method: Method
 ) -> tuple[tuple[FreeParameter, ...], tuple[str, ...]]:
-    """The free parameters, none for a method that trains a network of its own; and idle ones."""
+    """The free parameters, none for a method that makes a black box of its own; and idle ones."""
     if not method.fits_parameters:
         return (), ()
     priors = {
@@ -305,7 +305,7 @@ def perform(composition: Composition, listener: Listener, folder: Path | None = 
     model = write_fitted_model(
         request, fitted.result, fitted.deviations, origin, folder / MODEL_NAME
     )
-    free_runs.add_free_runs(request.problem, fitted, network_of(result, model))
+    free_runs.add_free_runs(request.problem, fitted, black_box_of(result, model))
     document = document_of(composition, request, fitted, perf_counter() - begin)
     written = {"model": model, "numbers": folder / DOCUMENT_NAME}
     write_document(document, written["numbers"])
@@ -363,8 +363,8 @@ def write_fitted_model(
     return path
 
 
-def network_of(result: FitResult, file: Path) -> Model | None:
-    """The model that a network was trained to, as its file says; None for parameters."""
+def black_box_of(result: FitResult, file: Path) -> Model | None:
+    """The black box that a method made, as its file says; None for fitted parameters."""
     if result.model_document is None:
         return None
     from trms_cli.effects.model_file import load_model

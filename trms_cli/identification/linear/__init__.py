@@ -1,0 +1,1 @@
+"""Linear empirical models about an operating point: ARX, ARMAX, subspace."""
