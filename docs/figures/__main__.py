@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 from docs.figures import effect_gallery, plots, validation
+from experiments import block_diagrams
 
 HERE = Path(__file__).parent
 README = HERE.parents[1] / "README.md"
@@ -25,6 +26,7 @@ def main() -> None:
     """Draw what the pages show; run the README's run, keep its picture and what it printed."""
     effect_gallery.main([str(HERE / "effects")])
     validation.draw(HERE)
+    block_diagrams.draw_diagnosis(HERE / "diagnosis.png")
     with tempfile.TemporaryDirectory() as scratch:
         # found on the path, the program tells the next commands by its bare name
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"

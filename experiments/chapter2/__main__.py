@@ -11,6 +11,9 @@ from typing import Any
 from experiments.chapter2.agreement import study_agreement
 from experiments.chapter2.axes import ANGLES, Comparison, one_axis, two_axes
 from experiments.chapter2.bench_tests import study_bench_tests
+from experiments.chapter2.friction import AXES, study_friction
+from experiments.chapter2.interface import study_interface
+from experiments.chapter2.paths import study_paths
 from experiments.chapter2.rotors import ROTORS, study_rotor
 from experiments.chapter2.study import HERE, STUDY, read_study
 from experiments.command_line import exit_code_of, progress_with_time
@@ -35,17 +38,29 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from experiments.chapter2 import figures, page
+    from experiments import block_diagrams
+    from experiments.chapter2 import drawing, figures, page
 
     study = read_study(arguments.study)
     folder = arguments.out or FIGURES
     folder.mkdir(parents=True, exist_ok=True)
     report = progress_with_time()
 
+    drawing.draw_rig(folder / "rig.png", folder / "rig.svg")
+    block_diagrams.draw_newtonian(folder / "newtonian.png")
+    circuits = [study_interface(study, rotor) for rotor in ROTORS]
+    figures.draw_interfaces(circuits, folder / "interface.png")
+    report("the rig, its block diagram, interface circuits")
+
     rotors = [study_rotor(study, rotor) for rotor in ROTORS]
     figures.draw_rotors(rotors, folder / "rotors.png")
-    tables = page.rotor_tables(rotors)
+    tables = {"interface": page.interface_table(circuits), **page.rotor_tables(rotors)}
     report("rotors alone: static curves, steps, sines")
+
+    frictions = [study_friction(study, freedom) for freedom in AXES]
+    figures.draw_friction(frictions, folder / "friction.png")
+    tables["friction"] = page.friction_table(frictions)
+    report("friction profiles of the rigs with one axis")
 
     single = {freedom: one_axis(study, freedom) for freedom in study.one_axis}
     for freedom, cases in single.items():
@@ -61,6 +76,13 @@ def _run(arguments: argparse.Namespace) -> int:
     tables |= page.two_axes_tables(cases)
     report(f"two axes: {len(cases)} cases")
 
+    signals = page.signals_of(study)
+    tables["nine signals"] = page.signal_table(signals)
+    paths = study_paths(study)
+    figures.draw_paths(paths, folder / "paths.png")
+    tables["nine pairs"] = page.path_table(paths)
+    report(f"signals: {len(signals)} commands, {len(paths)} pairs by multisines")
+
     agreements, terms = study_agreement(study)
     tables |= page.agreement_tables(agreements, terms)
     report("where the models agree, and what parts them")
@@ -75,6 +97,45 @@ def _run(arguments: argparse.Namespace) -> int:
         "rotors": {
             r.axis: {"rise_s": r.rises, "gain": r.gains, "current_effect_rad_s": r.current_effect}
             for r in rotors
+        },
+        "friction": {
+            rig.freedom: {
+                "break_away_N_m": rig.break_away,
+                "rests_s": rig.rests,
+                "offset_rad": rig.offsets,
+            }
+            for rig in frictions
+        },
+        "interface": {
+            c.rotor: {
+                "gain": c.gain,
+                "saturates_at_V": c.saturates_at,
+                "current_A": float(c.currents[-1]),
+            }
+            for c in circuits
+        },
+        "signals": {
+            f"{name} {channel.name}": {
+                "mean": channel.mean,
+                "sd": channel.sd,
+                "peak_Hz": channel.peak_frequency,
+                "band_edge_Hz": channel.band_edge,
+            }
+            for name, channels in signals.items()
+            for channel in channels
+            if page.moves(channel)
+        },
+        "paths": {
+            f"{p.source} {p.target}": {
+                "static_gain": p.static_gain,
+                "peak": p.peak,
+                "peak_Hz": p.peak_frequency,
+                "bandwidth_Hz": p.bandwidth,
+                "delay_s": p.delay,
+                "coherence": p.mean_coherence(p.coherence),
+                "coherence_large": p.mean_coherence(p.coherence_large),
+            }
+            for p in paths
         },
         "one_axis": {freedom: _figures(cases) for freedom, cases in single.items()},
         "two_axes": _figures(cases),

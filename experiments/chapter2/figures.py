@@ -10,12 +10,16 @@ from matplotlib.axes import Axes
 
 from experiments.chapter2.axes import Comparison
 from experiments.chapter2.bench_tests import BenchRecords
+from experiments.chapter2.friction import PROFILES, FrictionStudy
+from experiments.chapter2.interface import InterfaceStudy
+from experiments.chapter2.paths import Path as SignalPath
 from experiments.chapter2.rotors import RotorStudy
 from experiments.chapter2.simulation import FloatArray
 from trms_cli.reporting.style import (
     COLOURS,
     GREY,
     INK,
+    PALE,
     PALETTE,
     house_style,
     legend_above,
@@ -65,6 +69,97 @@ def draw_rotors(rotors: Sequence[RotorStudy], path: Path) -> None:
             legend_above(sines, 3)
         page.align_ylabels()
         save_png(page, path)
+
+
+def draw_interfaces(circuits: Sequence[InterfaceStudy], path: Path) -> None:
+    """Voltage and steady current of each motor against its command."""
+    with house_style():
+        page = new_figure(10.0, 2.9)
+        panels = page.subplots(1, len(circuits) + 1)
+        for k, circuit in enumerate(circuits):
+            u, panel, colour = circuit.commands, panels[k], COLOURS[k]
+            low, high = circuit.linear - circuit.margin, circuit.linear + circuit.margin
+            panel.fill_between(u, low, high, color=PALE, label="two sd of the gain")
+            panel.plot(u, circuit.linear, color=GREY, lw=1.0, ls="--", label="gain alone")
+            panel.plot(u, circuit.limited, color=colour, label=f"limit {circuit.limit:g} V")
+            panel.set(xlabel="command [V]", ylabel=f"{circuit.rotor} motor [V]")
+            panels[-1].plot(u, circuit.currents, color=colour, label=circuit.rotor)
+            panel.legend(loc="upper left")
+        panels[-1].set(xlabel="command [V]", ylabel="steady current [A]")
+        panels[-1].legend(loc="upper left")
+        for panel in panels:
+            for limit in (-2.5, 2.5):
+                panel.axvline(limit, color=GREY, lw=0.6, ls=":")
+        save_png(page, path)
+
+
+_PROFILE_COLOURS = dict(zip(PROFILES, COLOURS, strict=False))
+_PROFILE_NAMES = {
+    "viscous": "viscous",
+    "Coulomb": "viscous, Coulomb",
+    "stiction": "viscous, Coulomb, stiction",
+}
+
+
+def draw_friction(rigs: Sequence[FrictionStudy], path: Path) -> None:
+    """A row for each rig: torque over rate, free swing, a slow drive that sticks."""
+    with house_style():
+        page = new_figure(10.0, 5.2)
+        grid = page.subplots(len(rigs), 3, squeeze=False, width_ratios=[1.0, 1.4, 1.4])
+        for row, rig in zip(grid, rigs, strict=True):
+            law, swing, drive = row
+            for profile in PROFILES:
+                look = {"color": _PROFILE_COLOURS[profile], "label": _PROFILE_NAMES[profile]}
+                law.plot(rig.rates, 1e3 * (rig.viscous + rig.dry[profile]), **look)
+                for panel, response in (
+                    (swing, rig.swings[profile]),
+                    (drive, rig.drives[profile]),
+                ):
+                    panel.plot(response.time, response.outputs[rig.angle], lw=1.1, **look)
+            axis = _LABELS[rig.angle]
+            law.axhline(0.0, color=GREY, lw=0.6)
+            law.axvline(0.0, color=GREY, lw=0.6)
+            law.set(xlabel=axis.replace("[rad]", "rate [rad/s]"), ylabel="friction [mN m]")
+            swing.set(xlabel="time [s]", ylabel=axis)
+            drive.set(xlabel="time [s]", ylabel=axis)
+            swing.set_title("free swing", fontsize=9, pad=3)
+            drive.set_title("slow sine of the command", fontsize=9, pad=3)
+        _legend(page, grid[0, 0])
+        save_png(page, path)
+
+
+_PAIR_COLUMNS = (("u_v", "command of the main rotor"), ("u_h", "command of the tail rotor"),
+                 ("omega", "rotor speeds"))  # fmt: skip
+
+
+def draw_paths(paths: Sequence[SignalPath], path: Path) -> None:
+    """Gain over the largest one, and what is not linear, of each pair."""
+    with house_style():
+        page = new_figure(10.0, 5.0)
+        grid = page.subplots(2, len(_PAIR_COLUMNS), sharex=True, sharey="row")
+        for (source, title), (gain, rest) in zip(_PAIR_COLUMNS, grid.T, strict=True):
+            pairs = [p for p in paths if p.source.startswith(source)]
+            for colour, pair in zip(COLOURS, pairs, strict=False):
+                label = f"${_math(pair.source)} \\to {_math(pair.target)}$"
+                gain.loglog(
+                    pair.frequency, np.abs(pair.response) / pair.peak, color=colour, label=label
+                )
+                for coherence, line in ((pair.coherence, "-"), (pair.coherence_large, "--")):
+                    missing = np.maximum(1 - coherence, 1e-8)
+                    rest.loglog(pair.frequency, missing, color=colour, ls=line, lw=1.1)
+            gain.set_ylim(1e-3, 1.6)
+            legend_above(gain, 3)
+            gain.set_title(title, fontsize=9, pad=16)
+            rest.set_xlabel("frequency [Hz]")
+            rest.set_ylim(1e-7, 1.0)
+        grid[0, 0].set_ylabel("gain over its peak")
+        grid[1, 0].set_ylabel("1 − coherence")
+        save_png(page, path)
+
+
+def _math(name: str) -> str:
+    symbol, _, side = name.partition("_")
+    return f"{symbol if symbol == 'u' else chr(92) + symbol}_{side}"
 
 
 def draw_responses(cases: Sequence[Comparison], angle: str, path: Path) -> None:

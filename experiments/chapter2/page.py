@@ -4,15 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from experiments.chapter2.agreement import Agreement, TermStudy
-from experiments.chapter2.axes import ANGLES, Comparison
+from experiments.chapter2.axes import ANGLES, Comparison, pair_of_commands
 from experiments.chapter2.bench_tests import BenchTestResult
 from experiments.chapter2.bridge import TERMS
+from experiments.chapter2.friction import PROFILES, FrictionStudy
+from experiments.chapter2.interface import InterfaceStudy
+from experiments.chapter2.paths import Path as SignalPath
 from experiments.chapter2.rotors import RotorStudy
-from experiments.chapter2.simulation import Difference
+from experiments.chapter2.simulation import Difference, FloatArray
+from experiments.chapter2.study import Study
+from experiments.page_tables import number
+from trms_cli.identification.validation.metrics import (
+    Characteristics,
+    characteristics,
+    segments_of,
+    spectrum,
+)
 
 _ROTOR_OF_AXIS = {"v": "main", "h": "tail"}
+#: V, standard deviation below which a command stands still.
+_CONSTANT = 1e-9
 
 
 def rotor_tables(rotors: Sequence[RotorStudy]) -> dict[str, str]:
@@ -42,6 +58,155 @@ def rotor_tables(rotors: Sequence[RotorStudy]) -> dict[str, str]:
         ),
         "rotor sines": _table(["rotor", "[Hz]", "gain [(rad/s)/V]", "lag [°]"], sines),
     }  # fmt: skip
+
+
+def interface_table(circuits: Sequence[InterfaceStudy]) -> str:
+    """Gains and limits."""
+    rows = [
+        [
+            c.rotor,
+            f"{c.gain:g}",
+            f"{2.5 * c.gain:.2f}",
+            f"{c.limit:g}",
+            f"{c.saturates_at:.2f}",
+            f"{c.currents[-1]:.2f}",
+        ]
+        for c in circuits
+    ]
+    return _table(
+        ["motor", "gain [V/V]", "voltage at 2.5 V [V]", "limit [V]", "reached at [V]",
+         "steady current at the limit [A]"],
+        rows,
+    )  # fmt: skip
+
+
+def friction_table(rigs: Sequence[FrictionStudy]) -> str:
+    """What each profile does to the rigs with one axis."""
+    rows = [
+        [
+            rig.freedom,
+            {"viscous": "viscous", "Coulomb": "and Coulomb", "stiction": "and stiction"}[profile],
+            f"{1e3 * abs(rig.viscous[-1] / rig.rates[-1]):.1f}",
+            f"{1e3 * abs(rig.dry[profile][-1]):.2f}",
+            f"{1e3 * rig.break_away[profile]:.2f}",
+            "–" if math.isnan(rig.rests[profile]) else f"{rig.rests[profile]:.1f}",
+            "–" if math.isnan(rig.rests[profile]) else f"{1e3 * rig.offsets[profile]:+.1f}",
+        ]
+        for rig in rigs
+        for profile in PROFILES
+    ]
+    return _table(
+        ["rig", "profile", "viscous [mN m s]", "Coulomb [mN m]", "break-away [mN m]",
+         "free swing rests after [s]", "beside the equilibrium [mrad]"],
+        rows,
+    )  # fmt: skip
+
+
+def signals_of(study: Study) -> dict[str, list[Characteristics]]:
+    """Statistics of both commands of the nine cases.
+
+    The spectrum is of the whole signal: no noise has to be averaged, and its lines are narrow.
+    """
+    return {
+        name: [
+            _whole_spectrum(
+                characteristics(channel, "V", values, study.sample_time), values, study.sample_time
+            )
+            for channel, values in zip(("u_v", "u_h"), commands.T, strict=True)
+        ]
+        for name in study.two_axes
+        for commands in [pair_of_commands(study, name)]
+    }
+
+
+def _whole_spectrum(c: Characteristics, values: FloatArray, sample_time: float) -> Characteristics:
+    if not moves(c):
+        return c
+    density = spectrum(segments_of(values, sample_time, len(values)))
+    share = np.cumsum(density.density) / density.density.sum()
+    return replace(
+        c,
+        peak_frequency=float(density.frequencies[int(np.argmax(density.density))]),
+        band_edge=float(density.frequencies[int(np.searchsorted(share, 0.95))]),
+    )
+
+
+def moves(c: Characteristics) -> bool:
+    """Whether a command is no constant."""
+    return c.sd > _CONSTANT
+
+
+def signal_table(signals: Mapping[str, Sequence[Characteristics]]) -> str:
+    """The nine pairs of commands, two rows each."""
+    rows = [
+        [
+            name,
+            c.name,
+            f"{c.least:.2f} … {c.largest:.2f}",
+            f"{c.mean if abs(c.mean) > 5e-4 else 0.0:.3f}",
+            f"{c.sd:.3f}",
+            _or_dash(_crest(c)),
+            *(
+                _or_dash(v if moves(c) else math.nan)
+                for v in (c.correlation_time, c.peak_frequency, c.band_edge)
+            ),
+        ]
+        for name, channels in signals.items()
+        for c in channels
+    ]
+    return _table(
+        ["case", "command", "range [V]", "mean [V]", "sd [V]", "crest factor",
+         "correlation time [s]", "peak [Hz]", "95 % of the power below [Hz]"],
+        rows,
+    )  # fmt: skip
+
+
+def _crest(c: Characteristics) -> float:
+    """Largest deviation from the mean over the standard deviation."""
+    return max(c.largest - c.mean, c.mean - c.least) / c.sd if moves(c) else math.nan
+
+
+def _or_dash(value: float) -> str:
+    return "–" if math.isnan(value) else f"{value:.3g}"
+
+
+_SYMBOLS = {
+    "u_v": "u_v",
+    "u_h": "u_h",
+    "omega_v": "ω_v",
+    "omega_h": "ω_h",
+    "alpha_v": "α_v",
+    "alpha_h": "α_h",
+}
+
+
+def _sign(p: SignalPath) -> str:
+    """Of what a slow rise does at first: of the answer itself, or to the rate of a command."""
+    value = p.response[0].imag if p.passes_band else p.static_gain
+    return "+" if value > 0 else "−"
+
+
+def path_table(paths: Sequence[SignalPath]) -> str:
+    """Nine pairs of signals, as multisines find them."""
+    rows = [
+        [
+            f"{_SYMBOLS[p.source]} → {_SYMBOLS[p.target]}",
+            "–" if p.passes_band else number(p.static_gain),
+            _sign(p),
+            f"{p.peak_frequency:.2f}: {number(p.peak)}",
+            _or_dash(p.resonance),
+            f"{p.bandwidth:.2f}",
+            _or_dash(p.delay),
+            f"{p.mean_coherence(p.coherence):.4f}",
+            f"{p.mean_coherence(p.coherence_large):.4f}",
+        ]
+        for p in paths
+    ]
+    return _table(
+        ["pair", "static gain", "sign", "largest gain, at [Hz]", "resonance [dB]",
+         "bandwidth [Hz]", "delay [s]", "coherence", "five times larger"],
+        rows,
+    )  # fmt: skip
 
 
 def one_axis_table(cases: Sequence[Comparison]) -> str:

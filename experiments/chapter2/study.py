@@ -23,7 +23,7 @@ STUDY = HERE / "study.yaml"
 
 
 class Commands(msgspec.Struct, forbid_unknown_fields=True):
-    """Evenly spaced commands, V."""
+    """Evenly spaced values: commands in V, unless another unit is said."""
 
     points: int
     to: float
@@ -77,14 +77,48 @@ class BenchTests(msgspec.Struct, forbid_unknown_fields=True):
     yaw_commands: list[float]
 
 
+class Friction(msgspec.Struct, forbid_unknown_fields=True):
+    """What the rigs with a friction profile are asked; by ``vertical`` and ``horizontal``."""
+
+    rates: Commands  #: rad/s
+    swing_start: dict[str, float]  #: rad beside rest
+    swing_duration: float  #: s
+    drive: dict[str, dict[str, Any]]
+    drive_duration: float  #: s
+
+
+class Interface(msgspec.Struct, forbid_unknown_fields=True):
+    """The interface circuits."""
+
+    commands: Commands  #: V
+    limits: dict[str, float]  #: V, by rotor
+
+
+class Paths(msgspec.Struct, forbid_unknown_fields=True):
+    """Multisines around an operating point; by command."""
+
+    point: dict[str, float]  #: V
+    rms: dict[str, float]  #: V
+    larger: float  #: Factor of the large signal
+    realisations: int
+    periods: int  #: the last of which is looked at
+    period: float  #: s
+    hold: float  #: s, for which a value stands
+    ratio: float  #: Of a line to the one below
+    highest: float  #: Hz, of the lines that are shown
+
+
 class Study(msgspec.Struct, forbid_unknown_fields=True):
     """The whole study."""
 
     sample_time: float  #: s
     substeps: int
+    interface: Interface
     rotors: Rotors
+    friction: Friction
     one_axis: dict[str, dict[str, list[tuple[float, float]]]]
     two_axes: dict[str, Pair]
+    paths: Paths
     bench_tests: BenchTests
 
 

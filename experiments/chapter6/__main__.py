@@ -57,12 +57,14 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _show(study: Study, results: Results, folder: Path, *, page: bool) -> None:
     """Figures, and tables into the page or beside the figures."""
+    from experiments import block_diagrams
     from experiments.chapter6 import figures
     from experiments.chapter6 import page as pages
     from experiments.page_tables import write_alone, write_tables
     from trms_cli.controllers.newton_mpc import NewtonMpc
 
     folder.mkdir(parents=True, exist_ok=True)
+    block_diagrams.draw_newton_mpc(folder / "controller.png")
     figures.draw_cases(results.runs, folder / "cases.png")
     figures.draw_objective(results.runs, folder / "objective.png")
     figures.draw_predictions(results.plans, folder / "predictions.png")

@@ -94,8 +94,10 @@ def _compare(study: Study, figures: dict[str, Any], section: str) -> int:
 
 
 def _draw(study: Study, outcomes: Sequence[Outcome], folder: Path) -> None:
+    from experiments import block_diagrams
     from experiments.chapter7 import figures
 
+    block_diagrams.draw_output_feedback(folder / "loop.png")
     main_pairs = [o for o in outcomes if o.job.pair in study.pairs]
     for part in study.parts:
         figures.draw_cases([o for o in main_pairs if o.job.part == part], folder / f"{part}.png")

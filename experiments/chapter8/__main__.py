@@ -43,6 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from experiments import block_diagrams
     from experiments.chapter8 import figures, page
     from experiments.page_tables import write_alone, write_tables
 
@@ -51,6 +52,7 @@ def _run(arguments: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     report = progress_with_time()
 
+    block_diagrams.draw_robust_mpc(folder / "controller.png")
     contained, clouds = study_coverage(study)
     figures.draw_polytope(clouds, folder / "polytope.png")
     tables = {"coverage": page.coverage_table(contained)}

@@ -4,7 +4,7 @@ import pytest
 
 from trms_cli.reporting.block_diagram import (
     Block,
-    Sum,
+    SummingPoint,
     branch,
     diagram_panel,
     draw_block,
@@ -16,7 +16,7 @@ from trms_cli.reporting.style import figure_bytes, house_style
 
 
 def test_wires_end_at_the_sides():
-    block, node = Block(2.0, 1.0, "rig", wide=1.0, high=0.5), Sum(0.0, 0.0, radius=0.2)
+    block, node = Block(2.0, 1.0, "rig", wide=1.0, high=0.5), SummingPoint(0.0, 0.0, radius=0.2)
     assert (block.left, block.right) == ((1.5, 1.0), (2.5, 1.0))
     assert (block.top, block.bottom) == ((2.0, 1.25), (2.0, 0.75))
     assert (node.left, node.right) == ((-0.2, 0.0), (0.2, 0.0))
@@ -28,7 +28,7 @@ def test_words_stand_within_their_block():
         page, panel = diagram_panel(4.0, (0.0, 0.0), (4.0, 2.0))
         block = Block(2.0, 1.0, "title", "one line\nand another", wide=2.0, high=1.0)
         draw_block(panel, block)
-        draw_sum(panel, Sum(0.5, 1.0))
+        draw_sum(panel, SummingPoint(0.5, 1.0))
         branch(panel, (0.8, 1.0))
         wire(panel, [(0.1, 0.2), (0.5, 0.2), (0.5, 0.8)])
         word(panel, 0.3, 1.7, "u")

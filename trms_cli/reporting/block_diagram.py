@@ -21,10 +21,12 @@ Point = tuple[float, float]
 class Block:
     """A box, its name above the equation or the words that tell what it does."""
 
-    x: float  #: Of its centre
+    #: ``x``, ``y``: Of its centre, in units of the diagram
+    x: float
     y: float
     title: str
     detail: str = ""  #: Lines under the title
+    #: ``wide``, ``high``: In units of the diagram
     wide: float = 1.7
     high: float = 0.95
     fill: Any = PAPER
@@ -53,9 +55,10 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Sum:
+class SummingPoint:
     """A circle in which signals are added; a minus is written beside the wire that brings it."""
 
+    #: ``x``, ``y``, ``radius``: Of the circle, in units of the diagram
     x: float
     y: float
     radius: float = 0.17
@@ -128,7 +131,7 @@ def draw_block(panel: Axes, block: Block, size: float = 8.0) -> None:
         panel.text(block.x, y, text, size=size if is_title else size - 0.5, weight=weight, **look)
 
 
-def draw_sum(panel: Axes, node: Sum) -> None:
+def draw_sum(panel: Axes, node: SummingPoint) -> None:
     """A circle, empty: signs stand beside the wires."""
     panel.add_patch(
         Circle((node.x, node.y), node.radius, facecolor=PAPER, edgecolor=INK, lw=0.9, zorder=3)
