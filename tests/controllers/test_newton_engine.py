@@ -221,3 +221,26 @@ def test_without_a_compiler_and_with_another_solver_numpy_acts(law, kind, monkey
     sample = sample_of(MODEL, [0.2, 0.4])
     commands = [s.step(sample, want_prediction=False).u for s in (state, other)]
     assert (commands[0] == commands[1]).all()
+
+
+@needs_compiler
+def test_iterations_end_where_the_next_would_move_no_input_by_a_tenth_of_the_tolerance() -> None:
+    laws = NewtonMpc(max_iterations=50), NewtonMpc(tolerance=1e-9, max_iterations=50)
+    engines = [law.init(setup_of(MODEL, law.sample_time)) for law in laws]
+    step, u = BufferedFunction(discretise(MODEL, laws[0].sample_time, 5).step), np.zeros(2)
+    x, draw = MODEL.rest(), np.random.default_rng(0)
+    iterations, apart = [], []
+    for _ in range(100):
+        w = 1e-4 * draw.standard_normal(MODEL.n_w)
+        sample = ControlSample(0.0, np.array([[0.2, 0.3]]), Estimate(x, 0 * x, w, 0 * w), u)
+        near, exact = (
+            law.step(engine, sample, want_prediction=False)
+            for law, engine in zip(laws, engines, strict=True)
+        )
+        apart.append(np.abs(near.u - exact.u).max())
+        iterations.append((near.iterations, exact.iterations))
+        u = near.u
+        x = step.evaluate(x, u, MODEL.parameters.values, np.zeros(MODEL.n_w))[0].copy()
+    settled = slice(30, None)  # before, iterations shrink too slowly for that to be told
+    assert np.median(iterations[settled], axis=0).tolist() == [2, 4]
+    assert max(apart[settled]) < 0.1 * laws[0].tolerance

@@ -54,7 +54,8 @@ class NewtonMpc(HorizonSettings):
     terminal_decay: Annotated[float, Meta(ge=0, lt=1)] = 0.5
     #: Newton iterations a sample; 1 is the real-time iteration
     max_iterations: Annotated[int, Meta(ge=1)] = 10
-    tolerance: Positive = 1e-4  #: Converged when no input moves more than this, V
+    #: V; converged when no input moves more than this, or is expected to by a tenth of it
+    tolerance: Positive = 1e-4
     #: What acts when a solve fails: the last plan shifted in time, the last command, the
     #: steady-state input of the reference, or the end of the run
     fallback: Policy = "shifted_plan"

@@ -5,6 +5,7 @@
  * ------------------------------------------------------------------------------------------ */
 
 #define MPC_ARMIJO 1e-4
+#define MPC_EXPECTED 0.1 /* share of the tolerance that a converged plan is expected to be off */
 #define MPC_RELAXED_ABOVE 1e-3
 static const double mpc_step_lengths[] = {1.0, 0.5, 0.25, 0.1, 0.03, 0.01};
 
@@ -18,6 +19,7 @@ typedef struct {
     mpc_reason failed;
     int iterations, converged, stalled, is_stuck;
     double objective, merit, violation, terminal_residual, kkt_residual;
+    double move; /* largest of the last step, V; 0 where there was none, or a shortened one */
 } mpc_outcome;
 
 static void mpc_report(const mpc_cost *cost, mpc_outcome *outcome) {
@@ -40,8 +42,8 @@ static void mpc_limit_rates(mpc_ctx *c) {
 }
 #endif
 
-/* Along the Newton direction until phi falls (Armijo); else stay. */
-static void mpc_move(mpc_ctx *c, const double *step, double curvature, const mpc_cost *present,
+/* Along the Newton direction until phi falls (Armijo); else stay. The share that was gone. */
+static double mpc_move(mpc_ctx *c, const double *step, double curvature, const mpc_cost *present,
                      mpc_outcome *outcome) {
     const double slack = 1e-12 * (1.0 + fabs(present->merit));
     mpc_cost cost;
@@ -56,12 +58,19 @@ static void mpc_move(mpc_ctx *c, const double *step, double curvature, const mpc
                 c->plan[i] = mpc_clipped(c->trial[i], c->settings.lower[i % MPC_N_U],
                                          c->settings.upper[i % MPC_N_U]);
             mpc_report(&cost, outcome);
-            return;
+            return length;
         }
     }
     outcome->stalled = !outcome->converged;
     mpc_evaluate(c, c->plan, &cost); /* the trajectory is the last trial's */
     mpc_report(present, outcome);
+    return 0;
+}
+
+/* Whether what is left after a full step of this size is negligible: steps that shrink by theta
+ * leave theta / (1 - theta) of the last one (Hairer & Wanner, Solving ODEs II, IV.8). */
+static int mpc_is_last(const mpc_ctx *c, double before, double now) {
+    return now < before && now * now <= MPC_EXPECTED * c->settings.tolerance * (before - now);
 }
 
 /* Whether a step leaves an input all but where it is, far from that of the steady state: a rotor
@@ -82,8 +91,8 @@ static int mpc_is_stuck(const mpc_ctx *c) {
 
 static void mpc_iterate(mpc_ctx *c, mpc_outcome *outcome) {
     mpc_cost cost;
-    double curvature, begin = MPC_CLOCK(), middle;
-    int solved;
+    double curvature, largest, begin = MPC_CLOCK(), middle;
+    int solved, is_full;
     mpc_linearise(c, c->plan, &cost);
     middle = MPC_CLOCK();
     c->linearise_seconds += middle - begin;
@@ -99,8 +108,11 @@ static void mpc_iterate(mpc_ctx *c, mpc_outcome *outcome) {
     }
     if (outcome->iterations == 1) outcome->is_stuck = mpc_is_stuck(c);
     curvature = mpc_qp_curvature(c, &outcome->kkt_residual);
-    outcome->converged = mpc_largest(c->qp.dz, MPC_N_Z) <= c->settings.tolerance;
-    mpc_move(c, c->qp.dz, curvature, &cost, outcome);
+    largest = mpc_largest(c->qp.dz, MPC_N_Z);
+    outcome->converged = largest <= c->settings.tolerance;
+    is_full = mpc_move(c, c->qp.dz, curvature, &cost, outcome) >= 1;
+    if (is_full && mpc_is_last(c, outcome->move, largest)) outcome->converged = 1;
+    outcome->move = is_full ? largest : 0;
 }
 
 /* Iterate from the present plan, which never gets worse in phi. */

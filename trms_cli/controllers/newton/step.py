@@ -18,6 +18,8 @@ from trms_cli.models.steady_state import Target
 
 _ARMIJO = 1e-4
 _STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
+#: Share of the tolerance that a converged plan is expected to be off.
+_EXPECTED = 0.1
 #: A step that goes a smaller share of the way to the steady-state input leaves it where it is.
 _STUCK = 0.02
 
@@ -27,7 +29,9 @@ class NewtonResult:
     """How the iterations of a sample ended."""
 
     iterations: int
-    converged: bool  #: Whether the last Newton step moved no input by more than the tolerance
+    #: Whether the last Newton step moved no input by more than the tolerance, or the next one is
+    #: expected to move none by more than a tenth of it
+    converged: bool
     failed: bool  #: Whether there is no usable answer; ``message`` says why
     stalled: bool  #: Whether no step along the Newton direction lowered the merit
     objective: float  #: J of the plan
@@ -37,6 +41,8 @@ class NewtonResult:
     kkt_residual: float  #: Largest component of the Lagrangian's gradient before the last step
     #: Whether the first step left an input all but where it is, far from that of the steady state
     is_stuck: bool = False
+    #: Largest of the last step, V; 0 where there was none, or a shortened one
+    largest_move: float = 0.0
     message: str = ""
 
 
@@ -205,8 +211,12 @@ class NewtonStep:
             outcome.is_stuck = self._is_stuck(step)
         curvature = hessian @ step
         outcome.kkt_residual = _largest(curvature)
-        outcome.converged = _largest(step) <= tolerance
-        self._move(z, step, float(step @ curvature), merit_now, outcome)
+        largest = _largest(step)
+        outcome.converged = largest <= tolerance
+        is_full = self._move(z, step, float(step @ curvature), merit_now, outcome) >= 1.0
+        if is_full and _is_last(outcome.largest_move, largest, tolerance):
+            outcome.converged = True
+        outcome.largest_move = largest if is_full else 0.0
 
     def _is_stuck(self, step: FloatArray) -> bool:
         way = np.abs(self.plan - self.horizon.arguments["u_s"][:, None]).max(axis=1)
@@ -273,8 +283,10 @@ class NewtonStep:
         curvature: float,
         merit_now: float,
         outcome: NewtonResult,
-    ) -> None:
+    ) -> float:
         """Go along the Newton direction until the merit falls (Armijo); else stay.
+
+        Returns the share of the step that was gone.
 
         The QP's model of the merit is convex, so that the full step lowers it by at least half of
         stepᵀ H step: a descent direction of the merit itself.
@@ -288,9 +300,10 @@ class NewtonStep:
                 # Rounding may leave a bound by a hair.
                 np.clip(trial, self.lower[:, None], self.upper[:, None], out=self.plan)
                 self._report(evaluate.outputs, outcome)
-                return
+                return length
         outcome.stalled = not outcome.converged
         self._report(self.horizon.linearise.outputs[:5], outcome)
+        return 0.0
 
     def _report(self, outputs: Sequence[FloatArray], outcome: NewtonResult) -> None:
         trajectory, terminal, objective, merit, violation = outputs
@@ -313,6 +326,15 @@ class NewtonStep:
                 plan[:, block], previous - self.largest_moves, previous + self.largest_moves
             )
             plan[:, block] = previous
+
+
+def _is_last(before: float, now: float, tolerance: float) -> bool:
+    """Whether what is left after a full step is negligible.
+
+    Steps that shrink by θ leave θ/(1 − θ) of the last one (Hairer & Wanner, Solving ODEs II, IV.8).
+    ``before``, ``now``: V; largest moves of the last two steps.
+    """
+    return now < before and now * now <= _EXPECTED * tolerance * (before - now)
 
 
 def _largest(vector: FloatArray) -> float:
