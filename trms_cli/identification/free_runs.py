@@ -25,7 +25,8 @@ from trms_cli.identification.greybox import map_fit
 from trms_cli.identification.greybox.windows import StartEstimator, Windows, spread_of_memory
 from trms_cli.identification.problem import FitProblem, FitResult, with_values
 from trms_cli.identification.validation.metrics import fit_percent, largest, rms
-from trms_cli.models.discrete import copied_states
+from trms_cli.models.discrete import copied_states, root_of
+from trms_cli.models.discretisation import noise_of_states
 from trms_cli.models.model import Model, index_of, names
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.observers.augmentation import InitialSd
@@ -212,6 +213,22 @@ def measured_states(model: Model, dataset: Dataset) -> FloatArray | None:
     return states
 
 
+def remembered_states(model: Model, dataset: Dataset) -> FloatArray | None:
+    """:func:`measured_states` of a model that takes them as they were measured; else None.
+
+    A model with noise of its own, as a linear one has it, tells how far a measurement is from the
+    state; a filter or a fit weighs them then.
+    """
+    if model.sample_time is None or _is_noisy(model):
+        return None
+    return measured_states(model, dataset)
+
+
+def _is_noisy(model: Model) -> bool:
+    assert model.sample_time is not None
+    return bool(noise_of_states(model, model.parameters.values, model.sample_time).any())
+
+
 def filled_states(values: FloatArray) -> FloatArray:
     """Missing values replaced by the last present one (at the beginning by the first)."""
     filled = values.copy()
@@ -231,8 +248,8 @@ def window_runs(
 ) -> list[WindowRuns]:
     """Free runs over windows of ``length`` s end to end, of the model with the values to be judged.
 
-    A recording that is too short for any window is left out. A black box whose states all are
-    measured, or remembered from what is, starts from those measurements.
+    A recording that is too short for any window is left out. A black box without noise of its own
+    whose states all are measured, or remembered from what is, starts from those measurements.
     """
     runs = []
     rollouts: dict[float, Rollout] = {}
@@ -259,16 +276,34 @@ def _starts(
     model: Model, dataset: Dataset, rollout: Rollout, first: IntArray, history: int
 ) -> FloatArray:
     """States at the first samples of windows, from what lies before them, (m, rollout.n_x)."""
+    begin, prior_sd = first - history, None
+    states = None
     if model.sample_time == dataset.sample_time:
         states = measured_states(model, dataset)
-        if states is not None:
-            return with_memory(rollout, dataset, first, filled_states(states)[first])
-    begin = first - history
-    prior = StartEstimator(rollout, dataset, begin).at(model.parameters.values)
-    with np.errstate(all="ignore"):
+    if states is not None:
+        states = filled_states(states)
+        if not _is_noisy(model):
+            return with_memory(rollout, dataset, first, states[first])
+        guess = with_memory(rollout, dataset, begin, states[begin])
+        prior_sd = _sd_of_measured(model)
+    else:
+        prior = StartEstimator(rollout, dataset, begin).at(model.parameters.values)
         guess = with_memory(rollout, dataset, begin, prior.states[:, : model.n_x])
-        _, starts = fitted_starts(rollout, dataset, begin, history, guess)
+    with np.errstate(all="ignore"):
+        _, starts = fitted_starts(rollout, dataset, begin, history, guess, prior_sd)
     return starts
+
+
+def _sd_of_measured(model: Model) -> FloatArray:
+    """How far states that are outputs, or their past, may lie from what was measured, (n_x,).
+
+    As far as the noise of the model's equation for the output; commands are known.
+    """
+    assert model.sample_time is not None
+    noise = noise_of_states(model, model.parameters.values, model.sample_time)
+    copies = copied_states(model)
+    roots = [root_of(copies, i) for i in range(model.n_x)]
+    return np.array([max(_LEAST_SD, noise[at] if kind == "x" else 0.0) for kind, at in roots])
 
 
 def error_figures(runs: Sequence[WindowRuns]) -> dict[str, dict[str, Any]]:

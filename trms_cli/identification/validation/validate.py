@@ -39,8 +39,8 @@ from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import (
     filled_states,
     fitted_starts,
-    measured_states,
     output_columns,
+    remembered_states,
     simulated_windows,
     with_memory,
 )
@@ -151,7 +151,7 @@ def predict_one_step(
     noise, where they are known already (from another recording). ``prepared``: over a recording
     with the same commands, to be used again with these measurements.
     """
-    remembered = measured_states(model, dataset)
+    remembered = remembered_states(model, dataset)
     if remembered is not None:
         return _from_measured(model, dataset, rollout, remembered)
     filter_ = prepared or OneStepFilter(model, dataset, options)
@@ -322,7 +322,7 @@ def lead_samples(models: Sequence[Model], dataset: Dataset, options: ValidationO
     """Samples before the first window that every model has its start from."""
     lead = max(2, round(options.windows.history / dataset.sample_time))
     for model in models:
-        states = measured_states(model, dataset)
+        states = remembered_states(model, dataset)
         if states is not None:
             present = ~np.isnan(states).any(axis=1)
             lead = max(lead, int(np.argmax(present)) + 1 if present.any() else 0)
@@ -343,7 +343,7 @@ def free_runs(
     options: ValidationOptions,
 ) -> FreeRuns:
     """Simulate all windows, and once from the first of them to the end."""
-    remembered = measured_states(model, dataset)
+    remembered = remembered_states(model, dataset)
     shortest = min(firsts)
     every = firsts[shortest]
     if remembered is not None:
