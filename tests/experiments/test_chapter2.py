@@ -20,6 +20,7 @@ from experiments.chapter2.friction import (
     break_away_torque,
     friction_torques,
     profiled_model,
+    study_friction,
 )
 from experiments.chapter2.interface import study_interface
 from experiments.chapter2.page import moves, signals_of
@@ -199,12 +200,19 @@ class TestFriction:
         words = [f"model={HERE / 'friction_vertical.yaml'}", "controller=open_loop"]
         assert trms(["run", *words, "sim.duration=1", "picture=false", f"out={tmp_path}"]) == 0
 
-    def test_figures(self, expected):
+    def test_figures(self, study, expected):
         for freedom in AXES:
-            rig = expected["friction"][freedom]
-            assert rig["rests_s"]["viscous"] is None
-            assert rig["rests_s"]["stiction"] < rig["rests_s"]["Coulomb"] < 20.0
-            assert rig["break_away_N_m"]["stiction"] > rig["break_away_N_m"]["Coulomb"] > 0
+            rig, figures = study_friction(study, freedom), expected["friction"][freedom]
+            assert np.isnan(rig.rests["viscous"]) and figures["rests_s"]["viscous"] is None
+            assert rig.rests["stiction"] < rig.rests["Coulomb"] < 20.0
+            for profile in PROFILES[1:]:
+                assert rig.rests[profile] == pytest.approx(figures["rests_s"][profile], abs=0.1)
+                assert rig.offsets[profile] == pytest.approx(
+                    figures["offset_rad"][profile], rel=1e-3
+                )
+                # held: what pulls back there is less than what breaks away
+                stiffness = {"vertical": 0.2646, "horizontal": 0.0158}[freedom]
+                assert stiffness * abs(rig.offsets[profile]) < rig.break_away[profile]
 
 
 def test_interfaces_saturate_beyond_the_commands(study, expected):

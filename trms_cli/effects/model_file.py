@@ -10,6 +10,8 @@ parameter set (:class:`trms_cli.models.parameters.ParameterFile`)::
     effects:                         # optional: options of configs/effect, with their sizes
       yaw_coulomb_friction: {torque: 0.004}
 
+The name of a built-in set may stand for all parameters: ``parameters: bench``.
+
 An effect that is not in the library gives its class by ``_target_``, and all its arguments. So
 does a model that is none of the options: ``model: {_target_: own_lab.OwnModel, …}``.
 
