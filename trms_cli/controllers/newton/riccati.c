@@ -678,6 +678,16 @@ static void mpc_qp_turn_limit(mpc_ctx *c, int at) {
     q->touch[at] = q->touch_turn[at];
 }
 
+/* Take all limits to where they stand in the solution; while one lets go, none is held anew. What is
+ * beyond a limit then is often so because of what was held to no use. */
+static void mpc_qp_turn_limits(mpc_ctx *c) {
+    const mpc_qp *q = &c->qp;
+    int at, released = 0;
+    for (at = 0; at < MPC_ROWS_SOFT; at++) released |= q->touch[at] && !q->touch_turn[at];
+    for (at = 0; at < MPC_ROWS_SOFT; at++)
+        if (q->touch[at] || !released) mpc_qp_turn_limit(c, at);
+}
+
 /* Turn the last of the wrong sides alone: slower, and it does not cycle (Murty 1974, Linear
  * Algebra and its Applications 9). */
 static int mpc_qp_turn_last(mpc_ctx *c) {
@@ -711,7 +721,7 @@ static int mpc_qp_pivot(mpc_ctx *c, int rounds, int all_at_once) {
     mpc_qp *q = &c->qp;
     int from = MPC_N - 1, first = 0, round;
     for (round = 0; round < rounds; round++) {
-        int last, wrong, at;
+        int last, wrong;
         if (!mpc_qp_weigh_touched(c)) return 0;
         if (!mpc_qp_sweep(c, from) || !mpc_qp_prices(c)) return 0;
         wrong = mpc_qp_forward(c, &last);
@@ -727,7 +737,7 @@ static int mpc_qp_pivot(mpc_ctx *c, int rounds, int all_at_once) {
 #if MPC_RATES_LIMITED
             memcpy(q->fast, q->fast_turn, sizeof q->fast);
 #endif
-            for (at = 0; at < MPC_ROWS_SOFT; at++) mpc_qp_turn_limit(c, at);
+            mpc_qp_turn_limits(c);
         } else {
             last = mpc_qp_turn_last(c);
         }
