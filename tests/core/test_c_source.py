@@ -6,7 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from trms_cli.core.c_source import SettingField, share_slow_operations, struct_content
+from trms_cli.core.c_source import (
+    SettingField,
+    generate_source,
+    share_slow_operations,
+    struct_content,
+)
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian
 
@@ -55,6 +60,13 @@ def test_outputs_without_an_element_and_matrix_functions_stay() -> None:
     matrix = ca.Function("g", [y], [1 / y])
     assert share_slow_operations(matrix) is matrix
     assert ca.GlobalOptions.getSimplificationOnTheFly()
+
+
+def test_arguments_are_read_without_asking_whether_they_are_there() -> None:
+    x = ca.SX.sym("x", 2)
+    source = generate_source({"mpc_f": ca.Function("f", [x], [x[0] * x[1]])}).source
+    assert "arg[0][1]" in source
+    assert "? arg[" not in source
 
 
 def test_a_struct_is_filled_up_at_its_end_and_an_empty_array_has_room() -> None:
