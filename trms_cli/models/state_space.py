@@ -64,7 +64,8 @@ class DiscreteStateSpace:
                 where="outputs",
                 remedy="there is at least one output and one input, and no name occurs twice",
             )
-        if not (isinstance(self.sample_time, float) and 0 < self.sample_time < np.inf):
+        is_number = isinstance(self.sample_time, int | float)
+        if not (is_number and 0 < self.sample_time < np.inf):
             raise ModelError(
                 f"{self.sample_time!r} given", where="sample_time", remedy="a positive time in s"
             )

@@ -183,7 +183,7 @@ def test_subspace_tells_the_poles_and_gains_of_a_known_system(feedback):
 
 
 def test_the_deviations_of_a_subspace_model_are_those_of_repeated_recordings():
-    fits = [fit("subspace", sampled_rig(seed)[1], order=3) for seed in range(8)]
+    fits = [fit("subspace", sampled_rig(seed, 1200)[1], order=3) for seed in range(6)]
     gains = [result.details["static_gain"]["alpha_h by u_h"] for result in fits]
     scatter = np.std([gain["value"] for gain in gains], ddof=1)
     assert 0.4 * scatter < np.median([gain["sd"] for gain in gains]) < 2.5 * scatter

@@ -12,7 +12,9 @@ and Ã = A − K C, the output follows from the past p samples z_j(k) = (y(k−j
 
 The second line over all i is Γ x(k); its singular value decomposition gives the states, of which
 the n with the largest singular values are kept. C follows from regressing y on x, e is what is
-left, and A, B, K from regressing x(k+1) on x, u and e. N4SID and MOESP project on future inputs,
+left, and A and K from regressing x(k+1) on x, u and e; B from the predictor of A, C and K, which is
+linear in it: how a command acts within a few samples is what a controller lives on, and the
+states' own noise hides most of it from the regression. N4SID and MOESP project on future inputs,
 which are correlated with past noise under feedback; a recording of a closed loop biases them, and
 not this one. Any rows will do, so that missing samples and several recordings are no obstacle.
 
@@ -38,7 +40,12 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.identification.linear.linear_data import LinearData, regression, require_rows
+from trms_cli.identification.linear.linear_data import (
+    LinearData,
+    Regression,
+    regression,
+    require_rows,
+)
 from trms_cli.identification.linear.linear_fit import (
     LinearEstimate,
     LinearMethod,
@@ -103,7 +110,7 @@ class Subspace(LinearMethod):
         commands = rows.commands[now + 1, : data.n_u]
         known = np.hstack([states[now], commands, error[now]])
         following = np.linalg.lstsq(known, states[now + 1], rcond=None)[0].T
-        A, B, K = np.split(following, [n, n + data.n_u], axis=1)
+        A, _, K = np.split(following, [n, n + data.n_u], axis=1)
         covariance = states.T @ states / len(states)
         T, rates = _coordinates(A, C, covariance, data)
         A, reflected = _stable(T @ A @ np.linalg.inv(T))
@@ -111,7 +118,8 @@ class Subspace(LinearMethod):
             for row, output in enumerate(rates, start=data.n_y):
                 A[output] = 0.0
                 A[output, [output, row]] = 1.0, data.sample_time
-        B, K = T @ B, T @ K
+        K = T @ K
+        B = _input_matrix(A, K, error, rows, states @ T.T, data)
         angles = [data.output_signals[i] for i in rates]
         rest = n - data.n_y - len(rates)
         more = [
@@ -189,6 +197,42 @@ def _coordinates(
     kept = slice(len(known), None)  # the smallest are those that are known
     scale = np.sqrt(np.maximum(values[kept], np.finfo(float).tiny)) / _STATE_SD
     return np.vstack([known, (vectors[:, kept] / scale).T @ left]), rates
+
+
+def _input_matrix(
+    A: FloatArray,
+    K: FloatArray,
+    error: FloatArray,
+    rows: Regression,
+    states: FloatArray,
+    data: LinearData,
+) -> FloatArray:
+    """B (n, n_u) with which the predictor of A, C and K errs least, one step ahead, over the rows.
+
+    Its predictions are linear in B. ``error``: (N, n_y), residuals by whose covariance outputs are
+    weighed. ``states``: (N, n), of which those at the beginnings of the runs are taken.
+    """
+    n, n_y, n_u = len(A), data.n_y, data.n_u
+    damped = A - K @ np.eye(n_y, n)
+    whitening = np.linalg.inv(np.linalg.cholesky(error.T @ error / len(error)))
+    at = np.repeat(np.arange(n), n_u), np.arange(n * n_u)
+    gram, right = np.zeros((n * n_u, n * n_u)), np.zeros(n * n_u)
+    for run in rows.runs:
+        # u(k) is the newest past command of the next row.
+        commands = rows.commands[run][1:, :n_u]
+        base, slopes = states[run.start], np.zeros((n, n * n_u))
+        bases, responses = np.empty((len(commands), n_y)), np.empty((len(commands), n_y, n * n_u))
+        for k, (u, y) in enumerate(zip(commands, rows.y[run], strict=False)):
+            bases[k], responses[k] = base[:n_y], slopes[:n_y]
+            base, slopes = damped @ base + K @ y, damped @ slopes
+            slopes[at] += np.tile(u, n)
+        left = ((rows.y[run][:-1] - bases) @ whitening.T).ravel()
+        weighed = (whitening @ responses).reshape(-1, n * n_u)
+        gram += weighed.T @ weighed
+        right += weighed.T @ left
+    scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny))
+    solution = np.linalg.lstsq(gram / np.outer(scale, scale), right / scale, rcond=1e-12)[0]
+    return np.asarray((solution / scale).reshape(n, n_u), dtype=np.float64)
 
 
 def _observability(data: LinearData, space: DiscreteStateSpace) -> FloatArray:
