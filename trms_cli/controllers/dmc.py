@@ -47,14 +47,16 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.qp import Daqp, Qp, QpSolver, solve_or_fail
 from trms_cli.core.ranges import Positive
-from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
-from trms_cli.models.model import names
+from trms_cli.models.linearisation import Linearisation, LinearModel
+from trms_cli.models.model import Model, names
 from trms_cli.models.steady_state import SteadyState
 
 _KEY = "controller.operating_point"
 _BEYOND = "the reference is beyond the stops; the stop is the target"
 #: A measured angle counts up to so many times its stop: what is beyond is no angle of a rig.
 _FARTHEST = 2.0
+#: Least share of the strongest direction that the weakest must have to count as moved.
+_LEAST_SHARE = 0.01
 #: A mode whose size grows or decays less than this in a period integrates.
 _INTEGRATES = 1e-6
 
@@ -67,8 +69,8 @@ class Dmc(PresentReference):
     delay: Delay = "none"
     #: Controlled angles at which the responses are taken, rad
     operating_point: Mapping[str, float] = field(default_factory=lambda: {"alpha_h": 0.35})
-    #: Size of the steps up and down whose mean is the response, V
-    step_size: Positive = 0.1
+    #: Sizes of the steps up and down whose mean is the response, V
+    step_sizes: Mapping[str, Positive] = field(default_factory=dict)
     #: N, coefficients of a response, control periods; those of the swing have to have died away
     model_horizon: Annotated[int, Meta(ge=10)] = 800
     prediction_horizon: Annotated[int, Meta(ge=2)] = 40  #: P, control periods
@@ -94,7 +96,8 @@ class Dmc(PresentReference):
         """Responses, dynamic matrix and filter for a model.
 
         Raises ConfigurationError for names that the model does not have, for an operating point
-        that no input holds, and for a response shorter than the prediction.
+        where the rig cannot rest or the inputs move too little, and for a response shorter than the
+        prediction.
         """
         if self.model_horizon <= self.prediction_horizon:
             raise ConfigurationError(
@@ -122,8 +125,9 @@ class DmcState:
         linear = Linearisation(model, setup.sample_time, SteadyState(model)).at(
             config.operating_point, _KEY
         )
-        require_drivable(linear, _KEY)
-        self.responses = step_responses(linear, config.model_horizon, config.step_size)
+        sizes = in_order(config.step_sizes, names(model.inputs), 0.1, "step_sizes")
+        self.responses = step_responses(linear, config.model_horizon, sizes)
+        _require_effects(self.responses[:, : config.prediction_horizon], model)
         modes = slowest_modes(linear)
         bias, mode = config.bias_variance, config.mode_variance
         filters = [_filter_of(value, bias, mode) for value in modes]
@@ -254,11 +258,13 @@ class DmcState:
         return fall_back("dmc", policy, reason, self.plan[:, 0], None, self._last, bounds)
 
 
-def step_responses(linear: LinearModel, count: int, size: float) -> FloatArray:
+def step_responses(linear: LinearModel, count: int, sizes: FloatArray) -> FloatArray:
     """Of the nonlinear model at an operating point, (n_r, count, n_u), unit/V.
 
-    The first coefficient is one period after the step; means of steps up and down by ``size`` (V),
-    each less what the rig does without a step.
+    The first coefficient is one period after the step; half the difference between steps up and
+    down by ``sizes``, (n_u,), V.
+
+    Raises ConfigurationError if the model runs away.
     """
     discrete, target = linear.discrete, linear.target
     model = discrete.model
@@ -275,15 +281,29 @@ def step_responses(linear: LinearModel, count: int, size: float) -> FloatArray:
     responses = np.zeros((linear.C.shape[0], count, model.n_u))
     for j in range(model.n_u):
         above, below = target.u.copy(), target.u.copy()
-        above[j], below[j] = min(above[j] + size, upper[j]), max(below[j] - size, lower[j])
+        above[j], below[j] = min(above[j] + sizes[j], upper[j]), max(below[j] - sizes[j], lower[j])
         responses[:, :, j] = (angles(above) - angles(below)) / (above[j] - below[j])
     if not np.isfinite(responses).all():
         raise ConfigurationError(
             "the model's step responses are not finite",
-            where="controller.step_size",
+            where="controller.step_sizes",
             remedy="choose smaller steps, or an operating point from which the rig does not run",
         )
     return responses
+
+
+def _require_effects(responses: FloatArray, model: Model) -> None:
+    """Refuse responses, (n_r, P, n_u), with which some combination of angles cannot be moved."""
+    directions, strength, _ = np.linalg.svd(responses.sum(axis=1))
+    if len(strength) < len(directions) or strength[-1] < _LEAST_SHARE * strength[0]:
+        weakest = model.controlled[int(np.argmax(np.abs(directions[:, -1])))]
+        raise ConfigurationError(
+            f"steps of the inputs hardly move {weakest} at this operating point "
+            "(a rotor that stands still has a thrust without slope)",
+            where=_KEY,
+            remedy=f"choose one with the rotor turning, as {_KEY}.{weakest}=0.35, "
+            "or a larger step of controller.step_sizes",
+        )
 
 
 def slowest_modes(linear: LinearModel) -> list[complex]:
