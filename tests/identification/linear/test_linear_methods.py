@@ -18,6 +18,7 @@ from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import measured_states, window_runs
 from trms_cli.identification.linear import linear_fit
 from trms_cli.identification.linear.armax import _inside
+from trms_cli.identification.linear.subspace import _stable_gain
 from trms_cli.identification.model_writer import write_model
 from trms_cli.identification.problem import (
     FitOutcome,
@@ -385,6 +386,14 @@ def test_of_free_runs_that_are_as_good_the_one_of_fewest_coefficients_is_kept():
     lowest = min(row["criterion"] for row in details["candidates"])
     assert details["orders"]["output_order"] == 2
     assert details["candidates"][0]["criterion"] <= lowest * (1 + linear_fit._AS_GOOD)
+
+
+def test_a_predictor_that_would_not_forget_has_its_zero_reflected():
+    """In closed form: A − K of −2.1 becomes 1/−2.1."""
+    A, one = np.array([[0.9]]), np.eye(1)
+    gain = _stable_gain(A, np.array([[3.0]]), one)
+    assert gain[0, 0] == pytest.approx(0.9 + 1 / 2.1, rel=1e-9)
+    assert _stable_gain(A, np.array([[0.4]]), one)[0, 0] == 0.4
 
 
 def test_roots_of_a_moving_average_are_reflected_into_the_unit_circle():

@@ -118,7 +118,7 @@ class Subspace(LinearMethod):
             for row, output in enumerate(rates, start=data.n_y):
                 A[output] = 0.0
                 A[output, [output, row]] = 1.0, data.sample_time
-        K = T @ K
+        K = _stable_gain(A, T @ K, error.T @ error / len(error))
         B = _input_matrix(A, K, error, rows, states @ T.T, data)
         angles = [data.output_signals[i] for i in rates]
         rest = n - data.n_y - len(rates)
@@ -197,6 +197,30 @@ def _coordinates(
     kept = slice(len(known), None)  # the smallest are those that are known
     scale = np.sqrt(np.maximum(values[kept], np.finfo(float).tiny)) / _STATE_SD
     return np.vstack([known, (vectors[:, kept] / scale).T @ left]), rates
+
+
+def _stable_gain(A: FloatArray, K: FloatArray, covariance: FloatArray) -> FloatArray:
+    """K (n, n_y) with which the predictor A − K C forgets; C gives the first states.
+
+    Where it does not, that of the stationary Kalman filter for the same noise, K e of the states
+    and e of the outputs, ``covariance`` of e: its zeros are reflected into the unit circle. None
+    at all where that filter does not exist.
+    """
+    n, n_y = K.shape
+    C = np.eye(n_y, n)
+    if np.abs(np.linalg.eigvals(A - K @ C)).max() < _LARGEST_POLE:
+        return K
+    from scipy.linalg import solve_discrete_are
+
+    cross = K @ covariance
+    try:
+        P = solve_discrete_are(A.T, C.T, cross @ K.T, covariance, s=cross)
+        gain = np.linalg.solve(C @ P @ C.T + covariance, (A @ P @ C.T + cross).T).T
+        if np.abs(np.linalg.eigvals(A - gain @ C)).max() < _LARGEST_POLE:
+            return np.asarray(gain, dtype=np.float64)
+    except (np.linalg.LinAlgError, ValueError):
+        pass
+    return np.zeros_like(K)
 
 
 def _input_matrix(
