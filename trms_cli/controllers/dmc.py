@@ -84,10 +84,10 @@ class Dmc(PresentReference):
     #: What the difference from the measured angles is taken to do: stay (``bias``), or stay and
     #: move in the angle's slowest mode (``swing``)
     disturbance: Literal["bias", "swing"] = "swing"
-    #: Variances of what the bias and each of the mode's states gain in a period, over that of an
-    #: error of the measurement: larger ones believe the measured angles sooner
+    #: Variance of what the bias gains in a period, over that of an error of the measurement; larger
+    #: ones believe the measured angles sooner
     bias_variance: Positive = 0.1
-    mode_variance: Positive = 1.0
+    mode_variance: Positive = 1.0  #: The same of each of the mode's states
     #: What acts when a solve fails
     fallback: Literal["shifted_plan", "hold", "stop"] = "shifted_plan"
     qp: QpSolver = field(default_factory=Daqp)
