@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from trms_cli.code_generation.export import check_exportable
 from trms_cli.controllers.adaptive_linear_mpc import AdaptiveLinearMpc
 from trms_cli.controllers.multiple_model_mpc import MultipleModelMpc
 from trms_cli.core.errors import ConfigurationError
@@ -129,3 +130,9 @@ def test_nothing_is_learnt_from_what_noise_explains_nor_from_what_no_rig_does() 
         law.step(state, sample_of(BOTH, level, x * (1e9 if k == 30 else 1), at.u),
                  want_prediction=False)  # fmt: skip
     assert not state.change.any()
+
+
+@pytest.mark.parametrize("law", [MultipleModelMpc(), AdaptiveLinearMpc()], ids=["bank", "adaptive"])
+def test_the_engine_of_linear_mpc_is_not_exported_in_their_name(law: Any) -> None:
+    with pytest.raises(ConfigurationError, match="has no C source"):
+        check_exportable(law)

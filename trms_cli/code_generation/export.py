@@ -174,7 +174,8 @@ def check_exportable(controller: Any, option: str = "") -> None:
 
     ``option``: as it was chosen, for the message.
     """
-    if not isinstance(controller, (NewtonMpc, LinearMpc)):
+    # A law derived from one of these that starts otherwise is another law, and not in the C.
+    if getattr(type(controller), "init", None) not in (NewtonMpc.init, LinearMpc.init):
         raise ConfigurationError(
             f"{f'controller={option}' if option else 'this controller'} has no C source",
             where="controller",
