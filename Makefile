@@ -115,7 +115,7 @@ chapter7: $(READY) ## study: observers, output feedback, a rig with withheld par
 chapter8: $(READY) ## study: robust MPC by linear matrix inequalities
 	@$(BIN)/python -m experiments.chapter8 $(ARGS)
 
-tournament: $(READY) ## all controllers, observers, references and rigs crossed, 1882 runs, ranked (twenty minutes)
+tournament: $(READY) ## all controllers, observers, references and rigs crossed, 2939 runs, ranked (half an hour)
 	@$(BIN)/python -m experiments.tournament $(ARGS)
 
 robustness: $(READY) ## study: three controllers on 200 rigs drawn from the priors, a tuned newton_mpc
