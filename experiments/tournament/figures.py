@@ -118,7 +118,7 @@ def _cost(main: Ranking) -> Any:
     """How far behind against how much the commands move, and how long a step takes."""
     from trms_cli.reporting.style import COLOURS, GREY, new_figure
 
-    figure = new_figure(9.5, 3.8)
+    figure = new_figure(9.5, 5.0)
     panels = figure.subplots(1, 2, sharey=True)
     entrants = [standing for standing in main.standings if np.isfinite(standing.ratio)]
     for panel, figure_name, words in (
@@ -133,7 +133,7 @@ def _cost(main: Ranking) -> Any:
                        color=COLOURS[0] if ranked else GREY)  # fmt: skip
             points.append((x, standing.ratio, standing.name.replace(" + ukf", "")))
         panel.set_xscale("log")
-        panel.margins(x=0.3, y=0.12)
+        panel.margins(x=0.35, y=0.12)
         panel.autoscale_view()
         _plain(panel.xaxis)
         _name(panel, points)
@@ -145,6 +145,8 @@ def _cost(main: Ranking) -> Any:
 
 def _name(panel: Any, points: Sequence[tuple[float, float, str]]) -> None:
     """Names beside their points, moved up where they would lie on another name or point."""
+    from trms_cli.reporting.style import GREY
+
     size = 7.0  # points
     scale = 72.0 / panel.figure.dpi
     panel.figure.draw_without_rendering()
@@ -157,8 +159,16 @@ def _name(panel: Any, points: Sequence[tuple[float, float, str]]) -> None:
         while any(begin < r and b < end and abs(at - h) < 1.2 * size for b, r, h in boxes):
             at += 1.0
         boxes.append((begin, end, at))
+        # a name that had to go elsewhere is tied to its point
+        far = at - height > size
+        tie = {"arrowstyle": "-", "lw": 0.5, "color": GREY, "relpos": (0, 0), "shrinkB": 3}
         panel.annotate(
-            name, (x, y), xytext=(6, at - height), textcoords="offset points", fontsize=size
+            name,
+            (x, y),
+            xytext=(6, at - height),
+            textcoords="offset points",
+            fontsize=size,
+            arrowprops=tie if far else None,
         )
 
 
