@@ -140,6 +140,7 @@ class TestDiagnosis:
         # a screen of 80 columns; among the lines are the worth, a line for the rig, one for a clone
         assert len(done.stdout.splitlines()) <= 54
 
+    @pytest.mark.slow
     def test_several_recordings_and_part_of_the_suspects(self, diagnosed, lab):
         (lab / "second.csv").write_bytes((lab / "rig.csv").read_bytes())
         words = ('candidates=[yaw_*,"!yaw_disturbance"]', "data.channels=[alpha_v,alpha_h]")

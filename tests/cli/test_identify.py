@@ -115,6 +115,7 @@ class TestFit:
 
 
 class TestInterruption:
+    @pytest.mark.slow
     def test_a_stopped_search_writes_its_best_and_goes_on_to_the_same_end(self, trms, started, lab):
         words = [*FIT, "method=genetic", "method.individuals=8", "picture=false"]
         trms(*words, "method.generations=40", "out=whole")

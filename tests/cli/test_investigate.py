@@ -85,6 +85,7 @@ def test_a_recording_that_cannot_be_diagnosed_is_left_out(trms, answers, tmp_pat
     assert "yaw Coulomb friction" in done.stdout
 
 
+@pytest.mark.slow
 def test_the_budget_ends_it_and_more_of_it_goes_on(trms, answers, tmp_path):
     answers(believed(0.6, next_experiment=advice(5.0)))
     done = trms("investigate", *SHORT, "budget=30")

@@ -57,6 +57,7 @@ def run_in(folder: Path, *words: str) -> list[tuple[str, int, bytes]]:
     return content(folder / "run.mcap")
 
 
+@pytest.mark.slow
 def test_a_run_does_not_depend_on_those_before_it(tmp_path: Path) -> None:
     process_cache.forget()
     first = {name: run_in(tmp_path / name, *words) for name, words in _RUNS.items()}

@@ -181,6 +181,7 @@ def composed(trms, *argv: str) -> dict:
 
 
 class TestRun:
+    @pytest.mark.slow
     def test_with_a_network_file_says_what_it_is_and_is_repeated_from_its_log(
         self, program, network, tmp_path
     ):
@@ -192,6 +193,7 @@ class TestRun:
         first, again = (score_of(tmp_path / folder) for folder in "ab")
         assert first["solver"]["failures"] == 0 and first["channels"] == again["channels"]
 
+    @pytest.mark.slow
     def test_with_the_trained_network_reaches_the_reference(self, program, tmp_path):
         """All defaults; interpreted, which is quicker than to compile for so short a run."""
         options = ("controller=newton_mpc", "sim.duration=20", "out=run", "picture=false")

@@ -73,6 +73,7 @@ def test_an_interrupted_run_leaves_a_complete_and_marked_log(slow, trms, ending,
     assert "interrupted" in trms("score", "there/run.mcap").stdout
 
 
+@pytest.mark.slow
 @posix
 def test_progress_is_shown_on_a_terminal(in_terminal, own):
     words = ("run", *own, "controller.how=slow", "sim.duration=20")
@@ -82,6 +83,7 @@ def test_progress_is_shown_on_a_terminal(in_terminal, own):
         assert re.search(words, screen.shown)
 
 
+@pytest.mark.slow
 @posix
 def test_ctrl_c_ends_a_sweep_and_not_only_its_job(started, own, tmp_path):
     words = [*own, "controller.how=slow", "sim.duration=600", "seed=1,2", "out=swept"]
@@ -130,6 +132,7 @@ def test_the_least_controller_takes_every_sample_and_one_that_lacks_a_method_is_
     refused("run", *own, "out=elsewhere", words=words)
 
 
+@pytest.mark.slow
 @posix
 def test_that_there_is_no_compiler_is_said_once(program, own, tmp_path):
     words = [*own, "sim.duration=0.2"]

@@ -136,6 +136,7 @@ def kill_a_worker(started, tmp_path, begun, words: list[str]) -> dict:
     return victim | {"screen": out}
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_one_attempt(started, tmp_path, begun, plugins):
     sweep = tmp_path / "s"
     victim = kill_a_worker(started, tmp_path, begun, [*plugins, "launcher.workers=2"])
@@ -154,6 +155,7 @@ def test_a_killed_worker_costs_one_attempt(started, tmp_path, begun, plugins):
         *(pytest.param(each, marks=pytest.mark.slow) for each in (signal.SIGINT, signal.SIGTERM)),
     ],
 )
+@pytest.mark.slow
 def test_resumed_after_its_driver_has_gone(started, trms, tmp_path, begun, plugins, how):
     sweep = tmp_path / "s"
     words = [*plugins, "-m", *REST, "controller=pid,held", "seed=1,2", "launcher.workers=2"]
@@ -212,6 +214,7 @@ class TestFailures:
         document = json.loads(trms("sweep", "status", "s", "--json").stdout)
         assert [(f["count"], f["runs"]) for f in document["failures"]] == [(3, [0, 1, 2])]
 
+    @pytest.mark.slow
     def test_a_run_that_kills_its_worker_each_time_is_lost(self, trms, tmp_path, plugins):
         words = ["run", *plugins, "-m", *REST, "controller=deadly", "controller.how=dies,bad"]
         result = trms(*words, "retries=2", "out=s", "--json", code=1)

@@ -42,6 +42,7 @@ def read(folder: Path) -> dict:
     return document
 
 
+@pytest.mark.slow
 def test_leaves_figures_and_a_page(here, trms):
     done = trms("validate", "real=rig.csv", "model=newtonian_vertical", "out=here")
     assert "Left alone for 2 s" in " ".join(done.stdout.split())

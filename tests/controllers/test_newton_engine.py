@@ -156,6 +156,7 @@ def test_tunings_of_one_structure_share_what_is_compiled(caplog: pytest.LogCaptu
     assert a == pytest.approx(alone.u, abs=EQUAL)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_the_first_use_says_how_long_it_took(tmp_path, monkeypatch, caplog) -> None:
     monkeypatch.setenv("TRMS_CACHE", str(tmp_path))

@@ -369,6 +369,7 @@ def test_a_level_that_takes_most_of_the_torque_is_reached(pitch: float) -> None:
     assert trajectory.angles[-1, 0] == pytest.approx(pitch, abs=5e-3)
 
 
+@pytest.mark.slow
 def test_rotors_that_turn_both_axes_do_not_make_each_other_swing() -> None:
     """The pitch loop bends yaw's response: its inverse had a lag of 1.7 s for a rotor of 0.1 s.
 

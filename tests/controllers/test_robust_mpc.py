@@ -72,6 +72,7 @@ def offline() -> RobustMpcOfflineState:
 
 
 class TestOnline:
+    @pytest.mark.slow
     def test_a_start_from_rest_is_regulated_and_a_known_torque_leaves_no_error(self) -> None:
         controller = ONLINE(redesign_below=0.8)
         ran = close_loop(controller, BOTH, STILL, 7.0, x0=started(-0.65, -0.35))

@@ -173,6 +173,7 @@ def test_a_second_effect_of_the_same_name_is_refused(rig):
         rig.extended(rig.extended(rig.newtonian(), friction), friction)
 
 
+@pytest.mark.slow
 def test_all_effects_together_run_with_their_memory_in_place(rig):
     """Input-path effects in a row, states and impulses: sizes of x and x⁺ agree."""
     effects = {name: rig.effect(name) for name in rig.names}

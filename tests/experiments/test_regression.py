@@ -181,6 +181,7 @@ class TestComparison:
 
 
 class TestCommand:
+    @pytest.mark.slow
     def test_update_compare_and_fail(self, small: Path, tmp_path: Path, capsys, monkeypatch):
         monkeypatch.setenv("COLUMNS", "80")
         files = ["--matrix", str(small), "--baseline", str(tmp_path / "baseline.json")]

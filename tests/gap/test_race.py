@@ -244,6 +244,7 @@ def test_each_of_several_experiments_is_sealed_at_its_end():
     assert all(end == len(dataset) and begin > len(dataset) / 2 for _, begin, end in parts.sealed)
 
 
+@pytest.mark.slow
 def test_a_cause_with_a_state_of_its_own_is_told_whole():
     cable = effect("yaw_cable_hysteresis", torque=0.008)
     diagnosis = diagnose(

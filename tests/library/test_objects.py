@@ -56,6 +56,7 @@ def test_a_model_is_also_the_rigs_unless_that_is_chosen(here):
     assert len(own["/plant/state"].columns) == 8 and len(both["/plant/state"].columns) == 6
 
 
+@pytest.mark.slow
 def test_again_with_another_model_keeps_the_rig(here):
     def gains(made) -> list[str]:
         return re.findall(

@@ -289,6 +289,7 @@ def test_what_makes_no_sense_is_refused(keys, controller, clock, says):
 
 
 class TestLoopsWithoutMargins:
+    @pytest.mark.slow
     def test_a_loop_that_does_not_hold_or_does_not_answer_or_a_rotor_that_stands_still(self):
         law = Changed(lqr(), late=4)
         found = COARSE.measure(MODEL, loop_of(law), POINT, silent)

@@ -56,6 +56,7 @@ def cluster_of(workers: int):
     return LocalCluster(workers, threads_per_worker=1, dashboard_address=None, silence_logs=50)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("launcher", LAUNCHERS.values(), ids=LAUNCHERS)
 def test_killed_workers(tmp_path, launcher):
     """One run kills its worker once, another one each time."""

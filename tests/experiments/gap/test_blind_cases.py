@@ -226,6 +226,7 @@ def test_recordings_are_as_long_as_each_case_asks(monkeypatch: pytest.MonkeyPatc
 _LARGE = {"main_reaction_on_yaw": {"inertia": 5e-3}}
 
 
+@pytest.mark.slow
 def test_an_effect_begins_at_its_moment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("experiments.gap.blind.recording._SETTLING", 0.1)
     quiet = {"drift": 0.0, "jitter": 0.0}
@@ -259,6 +260,7 @@ def test_an_effect_begins_at_its_moment(monkeypatch: pytest.MonkeyPatch) -> None
     np.testing.assert_array_equal(fresh.measured, same.measured)
 
 
+@pytest.mark.slow
 def test_each_nuisance_and_each_effect_outside_changes_what_is_seen(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

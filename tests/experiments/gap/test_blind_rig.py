@@ -134,6 +134,7 @@ def test_an_effect_is_the_same_in_both_codes(name: str, recorded: Any) -> None:
     assert difference < OTHER_LAW.get(name, SAME_LAW) * signature
 
 
+@pytest.mark.slow
 def test_laws_of_another_form_are_the_same_in_both_codes() -> None:
     """Of the rigs of the set ``imperfect``, by the effect that says so of a model."""
     laws = {"viscous_exponent": 0.85, "thrust_exponent": 0.06, "cable_hardening": -0.05}
@@ -161,6 +162,7 @@ def run_with(
     return rigs.run(driver, 1.0, SAMPLE, settling=0.2)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_recording_with_small_nuisances_and_whole_quanta() -> None:
     table = rich_excitation([1, 2], 50, SAMPLE)
     first, again, other = (run_with(OpenLoop(table), 2, seed=s) for s in (1, 1, 2))
