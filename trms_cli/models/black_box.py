@@ -5,9 +5,11 @@ each has a disturbance, an acceleration. One for each output lets an observer ex
 difference between the rig and its model.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -70,6 +72,65 @@ class BlackBox(SteppedModel):
         return x[: self.n_y, 0]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BlackBoxFile:
+    """What the file of every black box holds; a kind adds its body."""
+
+    kind: ClassVar[str]  #: Value of ``model`` in such a file
+    body: ClassVar[tuple[str, ...]]  #: Fields of the kind's own, each with ``to_data``
+
+    name: str
+    #: Bounds by input, and mechanical stops by angle (rad)
+    limits: Mapping[str, float] = field(default_factory=dict)
+    source: str = ""  #: How the model was made, and of what
+    #: Option of ``configs/model`` with the rig that it is a model of; empty for none
+    rig: str = ""
+    #: A record of how it was made, plain data
+    training: Mapping[str, Any] = field(default_factory=dict)
+    #: Options of ``configs/effect`` by name, with their sizes
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @classmethod
+    def keys(cls) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Keys that a file must have, and those that it may have."""
+        common = ("source", "rig", "limits", "training", "effects")
+        return ("name", "model", *cls.body), common
+
+    def to_data(self) -> dict[str, Any]:
+        """Plain data for the YAML; what is empty is left out."""
+        data: dict[str, Any] = {"name": self.name, "model": self.kind}
+        for key in ("source", "rig", "limits", "effects"):
+            if value := getattr(self, key):
+                data[key] = value if isinstance(value, str) else dict(value)
+        data |= {key: getattr(self, key).to_data() for key in self.body}
+        if self.training:
+            data["training"] = dict(self.training)
+        return data
+
+
+def common_entries(data: Mapping[str, Any], label: str) -> dict[str, Any]:
+    """The fields of :class:`BlackBoxFile` that the content of a file gives."""
+    return {
+        "name": str(data["name"]),
+        "limits": numbers_at(data, "limits", label),
+        "source": str(data.get("source") or ""),
+        "rig": str(data.get("rig") or ""),
+        "training": mapping_at(data, "training", label),
+        "effects": mapping_at(data, "effects", label),
+    }
+
+
+@contextmanager
+def complaints_by_file(path: str) -> Iterator[None]:
+    """Complaints of a model that a file describes name the file and its key."""
+    try:
+        yield
+    except TrmsError as error:
+        raise ModelError(
+            error.problem, where=f"{path}: {error.where}", remedy=error.remedy
+        ) from error
+
+
 def remembered_signals(signals: Sequence[Signal], count: int) -> list[Signal]:
     """Signals one, two, … samples ago, all of one sample together."""
     return [
@@ -130,18 +191,12 @@ def mapping_of(path: Path, text: bytes, remedy: str) -> dict[str, Any]:
     return data
 
 
-def check_file(
-    data: Mapping[str, Any],
-    label: str,
-    kind: str,
-    required: Sequence[str],
-    optional: Sequence[str],
-    noun: str,
-) -> None:
+def check_file(data: Mapping[str, Any], label: str, content: type[BlackBoxFile], noun: str) -> None:
     """Refuse a file that lacks a key, has an unknown one, or holds another kind of model.
 
     ``noun``: what the file is, as ``network``.
     """
+    required, optional = content.keys()
     for key in required:
         if key not in data:
             raise ModelError(
@@ -153,9 +208,11 @@ def check_file(
     for key in data:
         place = f"{label}: {key}"
         require_known(str(key), (*required, *optional), f"unknown key {key!r}", place, ModelError)
-    if data["model"] != kind:
+    if data["model"] != content.kind:
         raise ModelError(
-            f"{data['model']!r} given", where=f"{label}: model", remedy=f"a {noun} is a {kind!r}"
+            f"{data['model']!r} given",
+            where=f"{label}: model",
+            remedy=f"a {noun} is a {content.kind!r}",
         )
 
 

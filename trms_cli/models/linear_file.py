@@ -17,22 +17,25 @@ that only remember an output or a command are copies, as those of a network.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from trms_cli.core.errors import ModelError, TrmsError
-from trms_cli.models.black_box import BlackBox, check_file, mapping_at, mapping_of, numbers_at
+from trms_cli.models.black_box import (
+    BlackBox,
+    BlackBoxFile,
+    check_file,
+    common_entries,
+    complaints_by_file,
+    mapping_of,
+)
 from trms_cli.models.model import FloatArray, Signal
 from trms_cli.models.parameters import read_named
 from trms_cli.models.state_space import DiscreteStateSpace
 
 #: Value of ``model`` in a file of a linear model.
 KIND = "linear"
-_REQUIRED = ("name", "model", "state_space")
-_OPTIONAL = ("source", "rig", "limits", "training", "effects")
 
 
 class StateSpaceModel(BlackBox):
@@ -95,20 +98,13 @@ class StateSpaceModel(BlackBox):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LinearFile:
+class LinearFile(BlackBoxFile):
     """The content of a file of a linear model."""
 
-    name: str
+    kind = KIND
+    body = ("state_space",)
+
     state_space: DiscreteStateSpace
-    #: Bounds by input, and mechanical stops by angle (rad)
-    limits: Mapping[str, float] = field(default_factory=dict)
-    source: str = ""  #: How the model was fitted, and to what
-    #: Option of ``configs/model`` with the rig that it was fitted to; empty for none
-    rig: str = ""
-    #: A record of the fit, plain data
-    training: Mapping[str, Any] = field(default_factory=dict)
-    #: Options of ``configs/effect`` by name, with their sizes
-    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def model(self) -> StateSpaceModel:
         """The model.
@@ -117,26 +113,11 @@ class LinearFile:
         """
         return StateSpaceModel(self.state_space, limits=self.limits)
 
-    def to_data(self) -> dict[str, Any]:
-        """Plain data for the YAML; what is empty is left out."""
-        data: dict[str, Any] = {"name": self.name, "model": KIND}
-        for key in ("source", "rig", "limits", "effects"):
-            if value := getattr(self, key):
-                data[key] = value if isinstance(value, str) else dict(value)
-        data["state_space"] = self.state_space.to_data()
-        if self.training:
-            data["training"] = dict(self.training)
-        return data
-
 
 def linear_of(content: LinearFile, path: str) -> StateSpaceModel:
     """The model of a file, with complaints by the file's keys."""
-    try:
+    with complaints_by_file(path):
         return content.model()
-    except TrmsError as error:
-        raise ModelError(
-            error.problem, where=f"{path}: {error.where}", remedy=error.remedy
-        ) from error
 
 
 def read_linear_file(path: str, where: str = "model.path") -> LinearFile:
@@ -147,13 +128,8 @@ def read_linear_file(path: str, where: str = "model.path") -> LinearFile:
     """
     file, text = read_named(path, where, "models", "linear model", "file of a linear model")
     data = mapping_of(file, text, "fit again: trms identify method=subspace real=FILE")
-    check_file(data, path, KIND, _REQUIRED, _OPTIONAL, "linear model")
+    check_file(data, path, LinearFile, "linear model")
     return LinearFile(
-        name=str(data["name"]),
         state_space=DiscreteStateSpace.from_data(data["state_space"], f"{path}: state_space"),
-        limits=numbers_at(data, "limits", path),
-        source=str(data.get("source") or ""),
-        rig=str(data.get("rig") or ""),
-        training=mapping_at(data, "training", path),
-        effects=mapping_at(data, "effects", path),
+        **common_entries(data, path),
     )

@@ -35,21 +35,21 @@ networks", Int. J. Control 51(6).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from trms_cli.core.errors import ModelError, TrmsError
+from trms_cli.core.errors import ModelError
 from trms_cli.models.black_box import (
     ANGLE,
     BlackBox,
+    BlackBoxFile,
     check_file,
-    mapping_at,
+    common_entries,
+    complaints_by_file,
     mapping_of,
-    numbers_at,
     remembered_signals,
 )
 from trms_cli.models.model import FloatArray, Model, Signal
@@ -59,8 +59,6 @@ from trms_cli.models.rest import rest_equations
 
 #: Value of ``model`` in a network file.
 KIND = "narx"
-_REQUIRED = ("name", "model", "structure", "network")
-_OPTIONAL = ("source", "rig", "limits", "training", "effects")
 #: Newton steps to the rest, and the seconds of free run before them.
 _ITERATIONS, _SETTLING = 50, 60.0
 _AT_REST = 1e-10
@@ -179,21 +177,14 @@ def _newton(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class NarxFile:
+class NarxFile(BlackBoxFile):
     """The content of a network file."""
 
-    name: str
+    kind = KIND
+    body = ("structure", "network")
+
     structure: NarxStructure
     network: Network
-    #: Bounds by input, and mechanical stops by angle (rad)
-    limits: Mapping[str, float] = field(default_factory=dict)
-    source: str = ""  #: How the network was trained, and on what
-    #: Option of ``configs/model`` with the rig that it was trained on; empty for none
-    rig: str = ""
-    #: A record of the training, plain data
-    training: Mapping[str, Any] = field(default_factory=dict)
-    #: Options of ``configs/effect`` by name, with their sizes
-    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def model(self) -> Narx:
         """The model.
@@ -201,18 +192,6 @@ class NarxFile:
         Raises ModelError if structure, network and limits do not fit together.
         """
         return Narx(self.structure, self.network, name=KIND, limits=self.limits)
-
-    def to_data(self) -> dict[str, Any]:
-        """Plain data for the YAML; what is empty is left out."""
-        data: dict[str, Any] = {"name": self.name, "model": KIND}
-        for key in ("source", "rig", "limits", "effects"):
-            if getattr(self, key):
-                value = getattr(self, key)
-                data[key] = value if isinstance(value, str) else dict(value)
-        data |= {"structure": self.structure.to_data(), "network": self.network.to_data()}
-        if self.training:
-            data["training"] = dict(self.training)
-        return data
 
 
 def narx(*, network: str, rig: Model | None = None) -> Narx:
@@ -231,12 +210,8 @@ def narx(*, network: str, rig: Model | None = None) -> Narx:
 
 def narx_of(content: NarxFile, path: str) -> Narx:
     """The model of a network file, with complaints by the file's keys."""
-    try:
+    with complaints_by_file(path):
         return content.model()
-    except TrmsError as error:
-        raise ModelError(
-            error.problem, where=f"{path}: {error.where}", remedy=error.remedy
-        ) from error
 
 
 def read_narx_file(name_or_path: str, where: str = "model.path") -> NarxFile:
@@ -248,16 +223,11 @@ def read_narx_file(name_or_path: str, where: str = "model.path") -> NarxFile:
     path, text = read_named(name_or_path, where, "networks", "network", "network file")
     data = mapping_of(path, text, "compare it with configs/networks/narx_2dof.yaml")
     label = name_or_path
-    check_file(data, label, KIND, _REQUIRED, _OPTIONAL, "network")
+    check_file(data, label, NarxFile, "network")
     return NarxFile(
-        name=str(data["name"]),
         structure=NarxStructure.from_data(data["structure"], f"{label}: structure"),
         network=Network.from_data(data["network"], f"{label}: network"),
-        limits=numbers_at(data, "limits", label),
-        source=str(data.get("source") or ""),
-        rig=str(data.get("rig") or ""),
-        training=mapping_at(data, "training", label),
-        effects=mapping_at(data, "effects", label),
+        **common_entries(data, label),
     )
 
 

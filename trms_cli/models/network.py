@@ -15,15 +15,17 @@ The wavelet is the radial Mexican hat (Zhang 1997, IEEE Trans. Neural Networks 8
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import casadi as ca
 import numpy as np
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import FloatArray
+
+T = TypeVar("T")
 
 Kind = Literal["mlp", "rbf", "wavelet"]
 _FIGURES = ("regressor_mean", "regressor_sd", "output_mean", "output_sd")
@@ -272,22 +274,30 @@ class NarxStructure:
         Raises ModelError for a key that is missing or unknown and for values that do not fit; it
         names the key.
         """
-        check_keys(data, set(cls.__dataclass_fields__), where)
-        try:
-            return cls(**data)
-        except ModelError as error:
-            raise ModelError(
-                error.problem, where=f"{where}.{error.where}", remedy=error.remedy
-            ) from None
-        except TypeError as error:
-            raise ModelError(
-                f"a value of the wrong type ({error})", where=where, remedy="write it as trained"
-            ) from None
+        return from_plain_data(cls, data, where, "write it as trained")
 
 
 def squared_distances(points: FloatArray, centres: FloatArray) -> FloatArray:
     """Squared Euclidean distances, ``(n, n_z), (n_c, n_z) -> (n, n_c)``."""
     return np.asarray(np.sum((points[:, None, :] - centres[None, :, :]) ** 2, axis=2))
+
+
+def from_plain_data(kind: type[T], data: Any, where: str, remedy: str) -> T:
+    """A dataclass of plain data, whose complaints name the key.
+
+    Raises ModelError for a key that is missing or unknown, and for values that do not fit.
+    """
+    check_keys(data, {item.name for item in fields(kind)}, where)  # type: ignore[arg-type]
+    try:
+        return kind(**data)
+    except ModelError as error:
+        raise ModelError(
+            error.problem, where=f"{where}.{error.where}", remedy=error.remedy
+        ) from None
+    except TypeError as error:
+        raise ModelError(
+            f"a value of the wrong type ({error})", where=where, remedy=remedy
+        ) from None
 
 
 def check_keys(data: Any, expected: set[str], where: str) -> None:

@@ -20,7 +20,7 @@ import numpy as np
 
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import FloatArray
-from trms_cli.models.network import check_keys
+from trms_cli.models.network import from_plain_data
 
 _SIGNALS = ("outputs", "inputs", "states")
 
@@ -153,17 +153,7 @@ class DiscreteStateSpace:
         Raises ModelError for a key that is missing or unknown, and for figures that do not fit; it
         names the key.
         """
-        check_keys(data, {item.name for item in fields(cls)}, where)
-        try:
-            return cls(**data)
-        except ModelError as error:
-            raise ModelError(
-                error.problem, where=f"{where}.{error.where}", remedy=error.remedy
-            ) from None
-        except TypeError as error:
-            raise ModelError(
-                f"a value of the wrong type ({error})", where=where, remedy="write it as fitted"
-            ) from None
+        return from_plain_data(cls, data, where, "write it as fitted")
 
 
 def _array(value: Any, shape: Sequence[int], where: str) -> FloatArray:

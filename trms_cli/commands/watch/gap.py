@@ -103,7 +103,7 @@ class GapScreen:
             if lines and len(lines) + len(wrapped) > room:
                 break
             lines[:0] = wrapped
-        return [Text(line, style="red") for line in lines]
+        return [Text(line, style="red") for line in lines[:room]]
 
     def _bar(self) -> Text:
         """The statistic against its threshold."""
