@@ -29,7 +29,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup
-from trms_cli.controllers.linear_mpc import LinearMpc, LinearMpcState, Way
+from trms_cli.controllers.linear_mpc import GivenModelState, LinearMpc, Way
 from trms_cli.controllers.newton.problem import typical_sizes
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.qp import Daqp, QpSolver
@@ -66,7 +66,7 @@ class AdaptiveLinearMpc(LinearMpc):
         return AdaptiveState(self, setup)
 
 
-class AdaptiveState(LinearMpcState):
+class AdaptiveState(GivenModelState):
     """The fit besides.
 
     ``change``: (n_x, n + n_u + 1); η. ``covariance``: (n_x, n + n_u + 1, n + n_u + 1); of η.
@@ -138,10 +138,3 @@ class AdaptiveState(LinearMpcState):
         A, B = model[:, :n].copy(), model[:, n:].copy()
         if (self.problem.effect(A, B) >= self.problem.least_effect).all():
             self._operating = (A, B)
-
-    def _slopes_at(
-        self, x: FloatArray, u: FloatArray
-    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
-        """The state after x and u, and the fit in the place of the slopes there."""
-        p, w = self.model.parameters.values, self._disturbance
-        return self._step.evaluate(x, u, p, w)[0].ravel().copy(), self._operating

@@ -296,6 +296,20 @@ class LinearMpcState(NewtonMpcState):
         return after, ((A, B) if usable else None)
 
 
+class GivenModelState(LinearMpcState):
+    """Likewise, with a model that a law derived from this one makes in the place of the slopes.
+
+    It stands in ``_operating`` and may change at each sample; the prediction from the present is
+    the nonlinear model's all the same.
+    """
+
+    def _slopes_at(
+        self, x: FloatArray, u: FloatArray
+    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+        p, w = self.model.parameters.values, self._disturbance
+        return self._step.evaluate(x, u, p, w)[0].ravel().copy(), self._operating
+
+
 def linear_steps(discrete: DiscreteModel) -> DiscreteModel:
     """The same states with ``x⁺ = A x + B u + δ``; p is A and B, row by row, then δ."""
     n, n_u = discrete.n_x, discrete.model.n_u

@@ -27,7 +27,7 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.controllers.controller import ControlSample, ControlSetup
-from trms_cli.controllers.linear_mpc import LinearMpc, LinearMpcState, Way
+from trms_cli.controllers.linear_mpc import GivenModelState, LinearMpc, Way
 from trms_cli.controllers.newton.problem import typical_sizes
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
@@ -72,7 +72,7 @@ class MultipleModelMpc(LinearMpc):
         return MultipleModelState(self, setup)
 
 
-class MultipleModelState(LinearMpcState):
+class MultipleModelState(GivenModelState):
     """The bank and its weights besides.
 
     ``A``, ``B``: (m, n, n), (m, n, n_u); of each model. ``weights``: (m,); they add up to one.
@@ -156,10 +156,3 @@ class MultipleModelState(LinearMpcState):
             np.tensordot(self.weights, self.B, 1),
         )
         super().prepare_model()
-
-    def _slopes_at(
-        self, x: FloatArray, u: FloatArray
-    ) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
-        """The state after x and u, and the blend in the place of the slopes there."""
-        p, w = self.model.parameters.values, self._disturbance
-        return self._step.evaluate(x, u, p, w)[0].ravel().copy(), self._operating
