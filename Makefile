@@ -20,7 +20,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export REASON
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run rig test slow package docs docs-links notebook fuzz lint format check bench regression regression-update \
+.PHONY: help setup run rig test slow package docs docs-links docs-check notebook fuzz lint format check bench regression regression-update \
 	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament robustness coverage closing-loop tras-fit aero-fit blind blind-full blind-imperfect blind-severity calibration docs-figures lock clean
 
 help: ## tell what each target does
@@ -60,6 +60,9 @@ docs: $(READY) ## build the documentation site into build/site; a broken link fa
 
 docs-links: $(READY) ## ask for every address outside that the documentation names (needs a network)
 	@$(BIN)/python -m sphinx -q -b linkcheck docs build/links
+
+docs-check: $(READY) ## make every table and picture of the pages anew; fails when one moved (hours; ARGS="--only chapter5", --cheap, --list, "--records DIR")
+	@$(BIN)/python -m experiments.docs_check $(ARGS)
 
 notebook: $(READY) ## execute the tour in docs/notebooks and keep its outputs
 	@$(BIN)/python -m docs.notebooks

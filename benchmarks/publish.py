@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.document import Table, cell_text, verdict
+from experiments.provenance import record_publication
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "benchmarks.md"
 _BEGIN, _END = "<!-- figures: begin -->", "<!-- figures: end -->"
@@ -42,6 +43,7 @@ def publish(
         folder = page.parent / "figures"
         folder.mkdir(exist_ok=True)
         shutil.copyfile(figure, folder / figure.name)
+    record_publication(page, ["figures"])
 
 
 def markdown(table: Table) -> str:

@@ -6,11 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from experiments.provenance import record_publication
 from trms_cli.core.errors import ConfigurationError
 
 
 def write_tables(page: Path, tables: Mapping[str, str]) -> None:
     """Put each table between ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``.
+
+    The revision is put down in ``docs/provenance.json``, for the page's new pictures as well.
 
     Raises ConfigurationError if the page has lost a mark.
     """
@@ -25,6 +28,7 @@ def write_tables(page: Path, tables: Mapping[str, str]) -> None:
             )
         text = f"{before}{begin}\n{table}\n{end}{after}"
     page.write_text(text, encoding="utf-8")
+    record_publication(page, tables)
 
 
 def write_alone(folder: Path, tables: Mapping[str, str]) -> None:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from experiments.provenance import record_publication
 from trms_cli.core.errors import RecordingError
 
 
@@ -31,3 +32,4 @@ def write_page(path: Path, tables: Mapping[str, str]) -> None:
     path.write_text(
         fill_tables(path.read_text(encoding="utf-8"), tables, str(path)), encoding="utf-8"
     )
+    record_publication(path, tables)

@@ -60,9 +60,9 @@ def publish(findings: Findings, page: Path = PAGE, figures: Path = FIGURES) -> N
         f"The {len(fits)} fits of the study took {sum(f.seconds for f in fits):.0f} s of processor "
         "time together; two processes share them."
     )
-    write_tables(page, blocks)
     figures.mkdir(parents=True, exist_ok=True)
     draw(findings, figures)
+    write_tables(page, blocks)
 
 
 def document(findings: Findings) -> dict[str, Any]:

@@ -84,9 +84,9 @@ def publish(findings: Findings, runs: Path, page: Path = PAGE, figures: Path = F
         blocks["separation"] += "".join(
             f"\n\n`{s.rig}`: {s.why}.\n\n    {s.command}" for s in findings.separations if s.command
         )
-    write_tables(page, blocks | {"made": coverage_note(findings)})
     figures.mkdir(parents=True, exist_ok=True)
     draw(findings, figures, runs)
+    write_tables(page, blocks | {"made": coverage_note(findings)})
 
 
 def coverage_note(findings: Findings) -> str:

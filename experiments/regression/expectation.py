@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments.provenance import record_publication
 from experiments.regression.comparison import BaselineFile
 from experiments.regression.matrix import HERE
 from experiments.regression.runs import Outcome
@@ -29,6 +30,7 @@ def write_expectation(
         raise ValueError(f"{readme} has lost its marks {_BEGIN} … {_END}")
     words = f"{before}{_BEGIN}\n{_table(recorded)}\n{_END}{after}"
     readme.write_text(words, encoding="utf-8")
+    record_publication(readme, ["expected figures"])
 
 
 def _table(recorded: BaselineFile) -> str:

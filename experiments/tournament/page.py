@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.page_tables import number
+from experiments.provenance import record_publication
 from experiments.tournament.publications import Beside
 from experiments.tournament.schedule import Criteria
 from experiments.tournament.verdict import Results, by_rig
@@ -311,6 +312,7 @@ def publish(
     folder.mkdir(parents=True, exist_ok=True)
     for figure in figures:
         shutil.copyfile(figure, folder / figure.name)
+    record_publication(page, parts)
 
 
 def _as_text(content: list[str] | Rows) -> str:

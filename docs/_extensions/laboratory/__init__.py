@@ -7,6 +7,7 @@
 `configuration`     a reference page a group of options, from the YAML files
 `formats`           the schemas that the code names
 `interface`         the Python reference: protocols, base classes, library functions
+`origins`           what made the tables and pictures of a page, and at which revision
 ==================  ================================================================
 
 Generated pages lie in folders that git ignores; they are rewritten only when they change, so that
@@ -20,7 +21,7 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from . import commands, configuration, formats, interface, navigation, sources
+from . import commands, configuration, formats, interface, navigation, origins, sources
 from .pages import write_pages
 
 
@@ -53,4 +54,5 @@ def _complete(app: Sphinx, name: str, content: list[str]) -> None:
         "reference/python": interface.listing,
         "reference/formats": formats.listing,
     }.get(name, str)()
+    text += origins.listing(name, docs)
     content[0] = text + navigation.toctrees(name, docs)
