@@ -133,6 +133,6 @@ def test_its_defaults_are_those_of_newton_mpc_but_a_terminal_region_has_no_count
     assert not any(ours.input_weights.values())
     shared = {f.name for f in fields(NewtonMpc)} & {f.name for f in fields(Nmpc)}
     apart = {f.name for f in fields(NewtonMpc)} - shared
-    assert apart == {"qp", "terminal_weight", "terminal_decay"}
+    assert apart == {"qp", "terminal_weight", "terminal_decay", "contraction"}
     with pytest.raises(ConfigurationError, match="no counterpart"):
         Nmpc.of(NewtonMpc(terminal="quasi_infinite"))

@@ -16,6 +16,7 @@ from trms_cli.code_generation.observer_source import ObserverSource, observer_so
 from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.controllers.linear_mpc import LinearMpc
 from trms_cli.controllers.newton.source import ControllerSource, newton_source
+from trms_cli.controllers.newton.terminals import STATES
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.qp.riccati import Riccati
 from trms_cli.core.arrays import FloatArray
@@ -180,6 +181,12 @@ def check_exportable(controller: Any, option: str = "") -> None:
             f"{f'controller={option}' if option else 'this controller'} has no C source",
             where="controller",
             remedy="export newton_mpc or linear_mpc: controller=newton_mpc",
+        )
+    if controller.terminal in STATES:
+        raise ConfigurationError(
+            f"terminal={controller.terminal} has no C source: it runs in NumPy alone",
+            where="controller.terminal",
+            remedy="export terminal=equality, quasi_infinite or none",
         )
     if type(controller.qp) not in (Riccati, Daqp):
         raise ConfigurationError(

@@ -14,7 +14,8 @@ where ``ṙ`` is the rate of a reference that moves smoothly
 multipliers its minimum meets the constraints exactly.
 
 With a terminal region (:mod:`trms_cli.controllers.newton.region`) J also has the terminal cost
-``‖L ξ_N‖²`` of ``ξ_N = (x_N − x_s, u_N−1 − u_s)``, and the terminal v is ``max(0, ‖L ξ_N‖ − √α)``.
+``‖L ξ_N‖²`` of ``ξ_N = (x_N − x_s, u_N−1 − u_s)``, and the terminal v is ``max(0, ‖L ξ_N‖ − √α)``;
+a contractive terminal (:mod:`trms_cli.controllers.newton.terminals`) has that v without the cost.
 A linear model (:mod:`trms_cli.controllers.linear_mpc`) has such a cost without the region, its
 ṙ is zero, and its matrices are arguments in place of the parameters.
 """
@@ -153,6 +154,7 @@ class TerminalPrice:
     quadratic: float  #: ν
     #: Whether the horizon ends in a region with a cost of its own instead of the steady state.
     region: bool = False
+    cost: bool = True  #: Whether a region has that cost
 
 
 def blocks_of(prediction_horizon: int, lengths: tuple[int, ...]) -> IntArray:
@@ -238,9 +240,12 @@ class Horizon:
         self.is_linear = linear
         #: Added to the Hessian's diagonal, 1/V²: inputs without influence stay where they are.
         self.regularisation = 1e-9 if linear else 1e-6
-        self.has_end_cost = linear or self.has_region
-        #: :data:`ARGUMENTS`, and :data:`REGION_ARGUMENTS` with a cost of the end.
-        self.argument_names = (*ARGUMENTS, *(REGION_ARGUMENTS if self.has_end_cost else ()))
+        self.has_end_cost = linear or (terminal is not None and terminal.region and terminal.cost)
+        #: :data:`ARGUMENTS`, and :data:`REGION_ARGUMENTS` with a cost of the end or a region.
+        self.argument_names = (
+            *ARGUMENTS,
+            *(REGION_ARGUMENTS if self.has_end_cost or self.has_region else ()),
+        )
         #: Terminal residuals: one a state of the equality, a single one of a region, or none.
         self.n_terminal = 0 if terminal is None else 1 if terminal.region else model.n_x
         #: Arguments of both compiled functions by name.
@@ -334,8 +339,9 @@ class Horizon:
         trajectory = ca.horzcat(*states)
         residual = (trajectory[:n_x, -1] - at["x_s"]) / at["scale"]
         objective = self._objective(trajectory, at)
-        if self.has_end_cost:
+        if self.has_end_cost or self.has_region:
             end = at["root"] @ (ca.vertcat(trajectory[:, -1], at["z"][:, -1]) - at["centre"])
+        if self.has_end_cost:
             objective += ca.sumsqr(end)
         if self.has_region:
             distance = ca.sqrt(ca.sumsqr(end) + _SMOOTH)
@@ -349,9 +355,10 @@ class Horizon:
         of_inputs = ca.vec(ca.jacobian(self._input_objective(at), at["z"]))
         gradient = 2 * root.T @ errors + of_inputs
         terminal_slope = sensitivity[:n_x, :] / ca.repmat(at["scale"], 1, self.n_z)
-        if self.has_end_cost:
+        if self.has_end_cost or self.has_region:
             last = ca.horzcat(ca.MX(n_u, self.n_z - n_u), ca.MX.eye(n_u))
             in_end = at["root"] @ ca.vertcat(sensitivity, last)
+        if self.has_end_cost:
             gradient += 2 * in_end.T @ end
             root = ca.vertcat(root, in_end)
         if self.has_region:

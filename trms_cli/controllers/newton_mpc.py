@@ -28,6 +28,7 @@ from trms_cli.controllers.horizon import HorizonSettings, NotNegative, Positive
 from trms_cli.controllers.newton.engine import NewtonEngine
 from trms_cli.controllers.newton.problem import NewtonProblem
 from trms_cli.controllers.newton.state import NewtonMpcState
+from trms_cli.controllers.newton.terminals import STATES
 from trms_cli.controllers.qp.riccati import Riccati
 from trms_cli.core.qp import QpSolver
 
@@ -39,8 +40,11 @@ class NewtonMpc(HorizonSettings):
     #: Whether the predicted trajectory must end in the steady state of the reference, or in a
     #: region around it at the cost of a local law that goes on from there (see
     #: :mod:`trms_cli.controllers.newton.region`; where a target has no such region, in the steady
-    #: state), or anywhere
-    terminal: Literal["equality", "quasi_infinite", "none"] = "equality"
+    #: state), or anywhere; ``dual_mode``, ``control_lyapunov`` and ``contractive``, in NumPy alone:
+    #: see :mod:`trms_cli.controllers.newton.terminals`
+    terminal: Literal[
+        "equality", "quasi_infinite", "dual_mode", "control_lyapunov", "contractive", "none"
+    ] = "equality"
     #: ``terminal_linear``, ``terminal_quadratic``: Exact penalty of the terminal constraint,
     #: relative to typical sizes of the states. It holds while its multipliers stay below
     #: ``terminal_linear``; otherwise it is relaxed, which is reported.
@@ -52,6 +56,9 @@ class NewtonMpc(HorizonSettings):
     #: higher terminal cost. Both 0 are the linear-quadratic regulator of the objective.
     terminal_weight: NotNegative = 0.25
     terminal_decay: Annotated[float, Meta(ge=0, lt=1)] = 0.5
+    #: Of ``contractive``: share of the present distance from the steady state at which the horizon
+    #: ends at the most
+    contraction: Annotated[float, Meta(gt=0, lt=1)] = 0.5
     #: Newton iterations a sample; 1 is the real-time iteration
     max_iterations: Annotated[int, Meta(ge=1)] = 10
     #: V; converged when no input moves more than this, or is expected to by a tenth of it
@@ -75,6 +82,8 @@ class NewtonMpc(HorizonSettings):
 
         Raises ConfigurationError for names and limits that the model does not have.
         """
+        if self.terminal in STATES:
+            return STATES[self.terminal](self, setup)
         if type(self.qp) is Riccati:
             engine = NewtonEngine.of(self.problem(setup), setup, self.preview(setup))
             if engine is not None:

@@ -71,9 +71,13 @@ class NewtonProblem:
         self._price = (
             None
             if config.terminal == "none"
-            else TerminalPrice(config.terminal_linear, config.terminal_quadratic)
+            else TerminalPrice(
+                config.terminal_linear,
+                config.terminal_quadratic,
+                cost=config.terminal != "contractive",
+            )
         )
-        self.horizon = self.horizon_ending(in_region=config.terminal == "quasi_infinite")
+        self.horizon = self.horizon_ending(in_region=config.terminal not in ("equality", "none"))
 
     def set_limits(
         self, config: NewtonMpc | LinearMpc, setup: ControlSetup, weights: Mapping[str, float]
