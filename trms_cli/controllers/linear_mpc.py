@@ -319,4 +319,4 @@ def linear_steps(discrete: DiscreteModel) -> DiscreteModel:
     B = ca.reshape(p[n * n : n * (n + n_u)], n_u, n).T
     after = A @ x + B @ u + p[n * (n + n_u) :]
     step = ca.Function("step", [x, u, p, w], [after], ["x", "u", "p", "w"], ["x_next"])
-    return replace(discrete, step=step, parts=(step,))
+    return replace(discrete, step=step, parts=(step,), runge_kutta_steps=0)

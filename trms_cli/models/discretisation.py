@@ -19,7 +19,7 @@ and quadruples those of its derivatives.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -28,12 +28,14 @@ from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
 from trms_cli.core.process_cache import call_memoised
 from trms_cli.models.model import FloatArray, Model, Signal
+from trms_cli.models.tangents import Tangent, TangentMap
 
 #: A first-order lag settles to the last bit within 40 time constants; none is that slow.
 _MOST_STEPS_TO_SETTLE = 100_000
 
 Method = Literal["auto", "rk4", "rodas3"]
-Derivative = Callable[[ca.SX], ca.SX]
+#: Of vectors, with or without slopes.
+Derivative = Callable[[Any], Any]
 
 
 def factorise_matrix(matrix: ca.SX) -> Callable[[ca.SX], ca.SX]:
@@ -86,6 +88,7 @@ class DiscreteModel:
     #: Steps, one after the other, that make up ``step``; a single one for a model with a derivative
     parts: tuple[ca.Function, ...]
     n_sensors: int = 0  #: entries of the sensors' memory, which follow the model's states
+    runge_kutta_steps: int = 0  #: equal ones that make up ``step``; 0 for another kind of step
 
     @property
     def n_x(self) -> int:
@@ -109,6 +112,8 @@ class DiscreteModel:
 
     def slopes(self, name: str = "slopes") -> ca.Function:
         """``(x, u, p, w) → x⁺, ∂x⁺/∂x, ∂x⁺/∂u``, the slopes dense."""
+        if self.runge_kutta_steps:
+            return call_memoised(_explicit_slopes, self, name)
         if len(self.parts) == 1:
             x, u, p, w = self.symbols()
             after = self.step(x, u, p, w)
@@ -240,29 +245,16 @@ def _discretised(
         return _repeated(model, step_length, sensors)
     if method == "auto":
         method = "rodas3" if model.stiff else "rk4"
-    integrate = {"rk4": _rk4, "rodas3": _rodas3}[method]
     layout = _Layout(model, step_length, sensors)
     _, u, p, w = model.symbols()
     full = ca.SX.sym("x", len(layout.states))
-    x, sensor_states, memory = layout.split(full)
-    h = step_length / substeps
-    at = ca.SX.sym("at", model.n_x)
-    # Stated once, and inlined at each stage: to state them again takes ten times as long.
-    dynamics = ca.Function("dynamics", [at, u, p, w], [model.dynamics(at, u, p, w)])
-    for k in range(substeps):
-        window = (k / substeps, (k + 1) / substeps)
-        arriving, memory = model.input_path(memory, u, p, window, step_length)
-        before = x
-        x = integrate(lambda z, a=arriving: dynamics(z, a, p, w), x, h)  # type: ignore[misc]
-        x = model.impulse(x, arriving, p, w, h)
-        if layout.n_sensors:
-            sensor_states = model.sensor_path(
-                sensor_states, before, x, arriving, p, window, step_length
-            )
+    start = (*layout.split(full), u)
+    parts = _after_substeps(layout, substeps, method, start, (p, w), _applied)
     # The equations name the same sine or square many times over; sharing them halves the work.
-    (after,) = ca.cse([ca.vertcat(x, sensor_states, memory)])
+    (after,) = ca.cse([ca.vertcat(*parts)])
     step = ca.Function("step", [full, u, p, w], [after], ["x", "u", "p", "w"], ["x_next"])
-    return layout.discrete(step, (step,))
+    discrete = layout.discrete(step, (step,))
+    return replace(discrete, runge_kutta_steps=substeps if method == "rk4" else 0)
 
 
 @dataclass(frozen=True)
@@ -305,6 +297,81 @@ class _Layout:
         return DiscreteModel(
             model, self.step_length, self.states, step, measurement, parts, self.n_sensors
         )
+
+
+def _applied(_: str, compute: Callable[..., tuple[ca.SX, ...]], *at: ca.SX) -> tuple[ca.SX, ...]:
+    return compute(*at)
+
+
+def _after_substeps(
+    layout: _Layout,
+    substeps: int,
+    method: Method,
+    start: tuple[Any, Any, Any, Any],
+    constants: tuple[ca.SX, ca.SX],
+    apply: Callable[..., tuple[Any, ...]],
+) -> tuple[Any, Any, Any]:
+    """State, sensors' memory and input path's memory after a step.
+
+    ``start``: the same before it, and the command; vectors, with or without slopes. ``constants``:
+    parameters and disturbances. ``apply``: takes a function of vectors to them, by its name.
+    """
+    model, step_length = layout.model, layout.step_length
+    x, sensors, memory, u = start
+    p, w = constants
+    integrate = {"rk4": _rk4, "rodas3": _rodas3}[method]
+    h = step_length / substeps
+    at, v = ca.SX.sym("at", model.n_x), ca.SX.sym("v", model.n_u)
+    # Stated once, and inlined at each stage: to state them again takes ten times as long.
+    dynamics = ca.Function("dynamics", [at, v, p, w], [model.dynamics(at, v, p, w)])
+
+    def flow(z: ca.SX, command: ca.SX) -> tuple[ca.SX]:
+        return (dynamics(z, command, p, w),)
+
+    def impulse(z: ca.SX, command: ca.SX) -> tuple[ca.SX]:
+        return (model.impulse(z, command, p, w, h),)
+
+    for k in range(substeps):
+        window = (k / substeps, (k + 1) / substeps)
+
+        def path(m: ca.SX, command: ca.SX, window: Any = window) -> tuple[ca.SX, ca.SX]:
+            return model.input_path(m, command, p, window, step_length)
+
+        def show(
+            m: ca.SX, old: ca.SX, new: ca.SX, command: ca.SX, window: Any = window
+        ) -> tuple[ca.SX]:
+            return (model.sensor_path(m, old, new, command, p, window, step_length),)
+
+        arriving, memory = apply(f"path {k}", path, memory, u)
+        before = x
+        x = integrate(lambda z, a=arriving: apply("flow", flow, z, a)[0], x, h)  # type: ignore[misc]
+        (x,) = apply("impulse", impulse, x, arriving)
+        if layout.n_sensors:
+            (sensors,) = apply(f"show {k}", show, sensors, before, x, arriving)
+    return x, sensors, memory
+
+
+def _explicit_slopes(discrete: DiscreteModel, name: str) -> ca.Function:
+    """Slopes of a step of Runge and Kutta, stage by stage."""
+    layout = _Layout(discrete.model, discrete.step_length, discrete.n_sensors > 0)
+    full, u, p, w = discrete.symbols()
+    n_x, n_u = full.numel(), u.numel()
+    in_full, in_u = ca.SX.eye(n_x + n_u)[:n_x, :], ca.SX.eye(n_x + n_u)[n_x:, :]
+    x, sensors, memory = layout.split(full)
+    first, end = x.numel(), n_x - memory.numel()
+    start = (
+        Tangent(x, in_full[:first, :]),
+        Tangent(sensors, in_full[first:end, :]),
+        Tangent(memory, in_full[end:, :]),
+        Tangent(u, in_u),
+    )
+    parts = _after_substeps(
+        layout, discrete.runge_kutta_steps, "rk4", start, (p, w), TangentMap([p, w])
+    )
+    after = ca.vertcat(*(part.value for part in parts))
+    slopes = ca.vertcat(*(part.slopes for part in parts))
+    results = [after, ca.densify(slopes[:, :n_x]), ca.densify(slopes[:, n_x:])]
+    return ca.Function(name, [full, u, p, w], ca.cse(results))
 
 
 def _repeated(model: Model, step_length: float, sensors: bool) -> DiscreteModel:
@@ -362,7 +429,7 @@ def repetitions(model: Model, step_length: float) -> int:
     return count
 
 
-def _rk4(f: Derivative, x: ca.SX, h: float) -> ca.SX:
+def _rk4(f: Derivative, x: Any, h: float) -> Any:
     k1 = f(x)
     k2 = f(x + h / 2 * k1)
     k3 = f(x + h / 2 * k2)

@@ -79,17 +79,17 @@ static void mpc_settle_memory(mpc_ctx *c, double *full, const double *u, int mos
     }
 }
 
-/* The same with its slopes (column after column) in x and u. */
-static void mpc_advance_with_slopes(mpc_ctx *c, const double *x, const double *u) {
+/* The same under the present torques, with its slopes in (x, u). */
+static void mpc_advance_with_slopes(mpc_ctx *c, const double *x, const double *u, double *next,
+                                    double (*F)[MPC_N_F]) {
     const double *arguments[MPC_ROOM(MPC_SLOPES_ARG)];
     double *results[MPC_ROOM(MPC_SLOPES_RES)];
     arguments[0] = x;
     arguments[1] = u;
     arguments[2] = c->settings.p;
     arguments[3] = c->w;
-    results[0] = c->stage_next;
-    results[1] = c->stage_a;
-    results[2] = c->stage_b;
+    results[0] = next;
+    results[1] = F[0];
     mpc_model_slopes(arguments, results, c->iw, c->work, 0);
 }
 
@@ -227,17 +227,11 @@ static void mpc_linearise(mpc_ctx *c, const double *z, mpc_cost *cost) {
     mpc_evaluate(c, z, cost);
 #else
     const double *x = c->full;
-    int i, j, k;
+    int k;
     for (k = 0; k < MPC_N; k++) {
-        double *now = c->trajectory + k * MPC_N_FULL;
-        mpc_advance_with_slopes(c, x, z + mpc_block[k] * MPC_N_U);
-        memcpy(now, c->stage_next, sizeof c->stage_next);
-        for (i = 0; i < MPC_N_FULL; i++) {
-            double *row = c->qp.F[k][i];
-            for (j = 0; j < MPC_N_FULL; j++) row[j] = c->stage_a[j * MPC_N_FULL + i];
-            for (j = 0; j < MPC_N_U; j++) row[MPC_N_FULL + j] = c->stage_b[j * MPC_N_FULL + i];
-        }
-        x = now;
+        double *next = c->trajectory + k * MPC_N_FULL;
+        mpc_advance_with_slopes(c, x, z + mpc_block[k] * MPC_N_U, next, c->qp.F[k]);
+        x = next;
     }
     mpc_cost_of(c, z, cost);
 #endif

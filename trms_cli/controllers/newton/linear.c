@@ -37,13 +37,7 @@ static int mpc_drives(const mpc_ctx *c, const mpc_linear *model) {
 
 /* The slopes at a state and a command; whether they may be used. `stage_next` is the state after. */
 static int mpc_slopes_at(mpc_ctx *c, const double *x, const double *u, mpc_linear *model) {
-    int i, j;
-    mpc_advance_with_slopes(c, x, u);
-    for (i = 0; i < MPC_N_FULL; i++) {
-        for (j = 0; j < MPC_N_FULL; j++) model->F[i][j] = c->stage_a[j * MPC_N_FULL + i];
-        for (j = 0; j < MPC_N_U; j++)
-            model->F[i][MPC_N_FULL + j] = c->stage_b[j * MPC_N_FULL + i];
-    }
+    mpc_advance_with_slopes(c, x, u, c->stage_next, model->F);
     return mpc_finite(model->F[0], MPC_N_FULL * MPC_N_F) && mpc_drives(c, model);
 }
 

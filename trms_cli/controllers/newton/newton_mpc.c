@@ -5,6 +5,7 @@
  * ------------------------------------------------------------------------------------------ */
 
 #define MPC_ARMIJO 1e-4
+#define MPC_DOUBT 0.8     /* exponent of what is known of the convergence, from sample to sample */
 #define MPC_EXPECTED 0.1 /* share of the tolerance that a converged plan is expected to be off */
 #define MPC_RELAXED_ABOVE 1e-3
 static const double mpc_step_lengths[] = {1.0, 0.5, 0.25, 0.1, 0.03, 0.01};
@@ -68,9 +69,12 @@ static double mpc_move(mpc_ctx *c, const double *step, double curvature, const m
 }
 
 /* Whether what is left after a full step of this size is negligible: steps that shrink by theta
- * leave theta / (1 - theta) of the last one (Hairer & Wanner, Solving ODEs II, IV.8). */
-static int mpc_is_last(const mpc_ctx *c, double before, double now) {
-    return now < before && now * now <= MPC_EXPECTED * c->settings.tolerance * (before - now);
+ * leave theta / (1 - theta) of the last one. The first step of a sample has no theta yet; that of
+ * the last sample stands in, believed a little less each time (Hairer & Wanner, Solving ODEs II,
+ * IV.8). `before` is 0 for a first step. */
+static int mpc_is_last(mpc_ctx *c, double before, double now) {
+    if (before > 0) c->remaining_share = now < before ? now / (before - now) : HUGE_VAL;
+    return now * c->remaining_share <= MPC_EXPECTED * c->settings.tolerance;
 }
 
 /* Whether a step leaves an input all but where it is, far from that of the steady state: a rotor
@@ -111,13 +115,15 @@ static void mpc_iterate(mpc_ctx *c, mpc_outcome *outcome) {
     largest = mpc_largest(c->qp.dz, MPC_N_Z);
     outcome->converged = largest <= c->settings.tolerance;
     is_full = mpc_move(c, c->qp.dz, curvature, &cost, outcome) >= 1;
-    if (is_full && mpc_is_last(c, outcome->move, largest)) outcome->converged = 1;
+    if (!is_full) c->remaining_share = HUGE_VAL;
+    else if (mpc_is_last(c, outcome->move, largest)) outcome->converged = 1;
     outcome->move = is_full ? largest : 0;
 }
 
 /* Iterate from the present plan, which never gets worse in phi. */
 static void mpc_solve_from(mpc_ctx *c, mpc_outcome *outcome) {
     memset(outcome, 0, sizeof *outcome);
+    c->remaining_share = pow(c->remaining_share, MPC_DOUBT);
 #if MPC_RATES_LIMITED
     mpc_limit_rates(c);
 #endif
@@ -338,6 +344,7 @@ static mpc_status mpc_fall_back(const mpc_ctx *c, mpc_reason reason, double *u, 
 static void mpc_start(mpc_ctx *c, const double *u_first) {
     int i;
     c->first = 1;
+    c->remaining_share = HUGE_VAL;
     c->target_is_held = 1;
     for (i = 0; i < MPC_N_U; i++) c->last_u[i] = isfinite(u_first[i]) ? u_first[i] : 0;
     for (i = 0; i < MPC_N_FULL; i++) c->full[i] = c->settings.full_rest[i];

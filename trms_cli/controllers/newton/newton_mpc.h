@@ -151,6 +151,7 @@ typedef struct {
     double plan[MPC_N_Z];                    /* inputs, block after block, V */
     double full[MPC_N_FULL];                 /* state, then what is remembered of past commands */
     double last_u[MPC_N_U];
+    double remaining_share;                  /* that a full Newton step leaves to go */
     mpc_target target;
     double linearise_seconds, qp_seconds;    /* of the last step, where there is a clock */
     double solved_for[MPC_N_R + MPC_N_W + MPC_N_PATHS];
@@ -177,7 +178,7 @@ typedef struct {
     double ahead[(MPC_FORECAST + 1) * MPC_N_R];
     double plan_kept[MPC_N_Z], trial[MPC_N_Z];
     double trajectory[MPC_N * MPC_N_FULL];
-    double stage_next[MPC_N_FULL], stage_a[MPC_N_FULL * MPC_N_FULL], stage_b[MPC_N_FULL * MPC_N_U];
+    double stage_next[MPC_N_FULL];
     mpc_qp qp;
     double work[MPC_ROOM(MPC_SZ_W)];
     long long int iw[MPC_ROOM(MPC_SZ_IW)];

@@ -194,16 +194,16 @@ static double mpc_rg_modulus(mpc_square matrix) {
 
 /* The law u = u_s + K xi and V's matrix P; whether there are such. */
 static int mpc_rg_law(mpc_ctx *c, mpc_region *region, mpc_square P) {
-    double B[MPC_N_V][MPC_N_U] = {{0}}, RB[MPC_N_U][MPC_N_U], inverse[MPC_N_U][MPC_N_U];
+    double F[MPC_N_FULL][MPC_N_F], B[MPC_N_V][MPC_N_U] = {{0}}, RB[MPC_N_U][MPC_N_U], inverse[MPC_N_U][MPC_N_U];
     double right[MPC_N_U][MPC_N_V], PB[MPC_N_V][MPC_N_U];
     mpc_square A = {{0}}, closed, power, w;
     mpc_stage stage;
     double slowest, root, kappa;
     int i, j, m, round;
-    mpc_advance_with_slopes(c, region->centre, region->centre + MPC_N_FULL);
+    mpc_advance_with_slopes(c, region->centre, region->centre + MPC_N_FULL, c->stage_next, F);
     for (i = 0; i < MPC_N_FULL; i++) {
-        for (j = 0; j < MPC_N_FULL; j++) A[i][j] = c->stage_a[j * MPC_N_FULL + i];
-        for (j = 0; j < MPC_N_U; j++) B[i][j] = c->stage_b[j * MPC_N_FULL + i];
+        for (j = 0; j < MPC_N_FULL; j++) A[i][j] = F[i][j];
+        for (j = 0; j < MPC_N_U; j++) B[i][j] = F[i][MPC_N_FULL + j];
     }
     if (!mpc_finite(A[0], MPC_N_V * MPC_N_V) || !mpc_finite(B[0], MPC_N_V * MPC_N_U)) return 0;
     for (j = 0; j < MPC_N_U; j++) B[MPC_N_FULL + j][j] = 1;

@@ -35,48 +35,56 @@ enum { QP_BELOW = -2, QP_ON_LOWER = -1, QP_ON_UPPER = 1, QP_ABOVE = 2 };
 /* Where an input stands: free, at a bound, or moved as far as its rate allows. */
 enum { QP_FREE = 0, QP_AT_LOWER = -1, QP_AT_UPPER = 1, QP_FALLING = -2, QP_RISING = 2 };
 
-/* What takes the time. The number of rows is kept from the compiler, which else unrolls over them
- * and shuffles; sums of eight columns stay in registers. */
-#if defined(__GNUC__) && !defined(__clang__)
-#define QP_KERNEL __attribute__((noinline, noclone)) static
+/* What takes the time works on two columns at once, in registers, where the compiler has such
+ * vectors: what it makes of loops by itself takes a twentieth longer for a step, and a fifth without
+ * -O3. The order of operations in a column is the same. */
+#if defined(__GNUC__)
+typedef double mpc_lanes __attribute__((vector_size(16), aligned(8), may_alias));
+#define QP_KERNEL __attribute__((always_inline)) static inline
 #else
+typedef double mpc_lanes;
 #define QP_KERNEL static
 #endif
+#define QP_LANES ((int)(sizeof(mpc_lanes) / sizeof(double)))
+#define QP_GET(p, i) (*(const mpc_lanes *)((p) + (i) * QP_LANES))
+#define QP_PUT(p, i) (*(mpc_lanes *)((p) + (i) * QP_LANES))
 
 /* to += sum over m of a[m] row m, of `columns` (a multiple of 4). */
 QP_KERNEL void mpc_qp_add_rows(double *restrict to, const double *restrict rows, int stride,
                                const double *restrict a, int a_stride, int count, int columns) {
-    int j = 0, m;
-    for (; j + 8 <= columns; j += 8) {
-        double s0 = to[j], s1 = to[j + 1], s2 = to[j + 2], s3 = to[j + 3];
-        double s4 = to[j + 4], s5 = to[j + 5], s6 = to[j + 6], s7 = to[j + 7];
-        const double *row = rows + j;
-        for (m = 0; m < count; m++, row += stride) {
-            const double factor = a[m * a_stride];
-            s0 += factor * row[0], s1 += factor * row[1], s2 += factor * row[2];
-            s3 += factor * row[3], s4 += factor * row[4], s5 += factor * row[5];
-            s6 += factor * row[6], s7 += factor * row[7];
+    int m;
+    for (; columns >= 8 * QP_LANES; columns -= 8 * QP_LANES) {
+        mpc_lanes s0 = QP_GET(to, 0), s1 = QP_GET(to, 1), s2 = QP_GET(to, 2), s3 = QP_GET(to, 3);
+        mpc_lanes s4 = QP_GET(to, 4), s5 = QP_GET(to, 5), s6 = QP_GET(to, 6), s7 = QP_GET(to, 7);
+        const double *row = rows, *factor = a;
+        for (m = 0; m < count; m++, row += stride, factor += a_stride) {
+            s0 += *factor * QP_GET(row, 0), s1 += *factor * QP_GET(row, 1);
+            s2 += *factor * QP_GET(row, 2), s3 += *factor * QP_GET(row, 3);
+            s4 += *factor * QP_GET(row, 4), s5 += *factor * QP_GET(row, 5);
+            s6 += *factor * QP_GET(row, 6), s7 += *factor * QP_GET(row, 7);
         }
-        to[j] = s0, to[j + 1] = s1, to[j + 2] = s2, to[j + 3] = s3;
-        to[j + 4] = s4, to[j + 5] = s5, to[j + 6] = s6, to[j + 7] = s7;
+        QP_PUT(to, 0) = s0, QP_PUT(to, 1) = s1, QP_PUT(to, 2) = s2, QP_PUT(to, 3) = s3;
+        QP_PUT(to, 4) = s4, QP_PUT(to, 5) = s5, QP_PUT(to, 6) = s6, QP_PUT(to, 7) = s7;
+        to += 8 * QP_LANES, rows += 8 * QP_LANES;
     }
-    if (j < columns) {
-        double s0 = to[j], s1 = to[j + 1], s2 = to[j + 2], s3 = to[j + 3];
-        const double *row = rows + j;
-        for (m = 0; m < count; m++, row += stride) {
-            const double factor = a[m * a_stride];
-            s0 += factor * row[0], s1 += factor * row[1], s2 += factor * row[2];
-            s3 += factor * row[3];
+    for (; columns >= 4 * QP_LANES; columns -= 4 * QP_LANES) {
+        mpc_lanes s0 = QP_GET(to, 0), s1 = QP_GET(to, 1), s2 = QP_GET(to, 2), s3 = QP_GET(to, 3);
+        const double *row = rows, *factor = a;
+        for (m = 0; m < count; m++, row += stride, factor += a_stride) {
+            s0 += *factor * QP_GET(row, 0), s1 += *factor * QP_GET(row, 1);
+            s2 += *factor * QP_GET(row, 2), s3 += *factor * QP_GET(row, 3);
         }
-        to[j] = s0, to[j + 1] = s1, to[j + 2] = s2, to[j + 3] = s3;
+        QP_PUT(to, 0) = s0, QP_PUT(to, 1) = s1, QP_PUT(to, 2) = s2, QP_PUT(to, 3) = s3;
+        to += 4 * QP_LANES, rows += 4 * QP_LANES;
     }
-}
-
-/* to -= factor row */
-QP_KERNEL void mpc_qp_subtract(double *restrict to, const double *restrict row, double factor,
-                               int columns) {
-    int j;
-    for (j = 0; j < columns; j++) to[j] -= factor * row[j];
+    for (; columns > 0; columns -= 2 * QP_LANES) {
+        mpc_lanes s0 = QP_GET(to, 0), s1 = QP_GET(to, 1);
+        const double *row = rows, *factor = a;
+        for (m = 0; m < count; m++, row += stride, factor += a_stride)
+            s0 += *factor * QP_GET(row, 0), s1 += *factor * QP_GET(row, 1);
+        QP_PUT(to, 0) = s0, QP_PUT(to, 1) = s1;
+        to += 2 * QP_LANES, rows += 2 * QP_LANES;
+    }
 }
 
 static int mpc_begins(int k) { return k == 0 || mpc_block[k] != mpc_block[k - 1]; }
@@ -203,32 +211,14 @@ typedef struct {
     double rest, w;    /* curvature and slope of all else */
 } mpc_split;
 
-/* Take an input of a period out of the value function: a row of h is the cost's slope in it. */
-static void mpc_qp_eliminate(const mpc_qp *q, double (*restrict M)[MPC_N_M],
-                             double (*restrict h)[MPC_N_ROW], mpc_split *split, int i,
-                             const int *left, int side, double offset, double *restrict gain) {
-    const int p = MPC_N_FULL + i, width = q->width, rows = QP_ON + q->n_on;
+/* Put an input of a period where its constraint is, and take it out of the value function: a row of
+ * h is the cost's slope in it. */
+static void mpc_qp_fix(const mpc_qp *q, double (*restrict M)[MPC_N_M],
+                       double (*restrict h)[MPC_N_ROW], mpc_split *split, int i, const int *left,
+                       int side, double offset, double *restrict gain) {
+    const int p = MPC_N_FULL + i, rows = QP_ON + q->n_on;
     const double own = h[i][QP_OTHERS + i];
-    int j, m;
-    if (side == QP_FREE) {
-        const double inverse = 1 / own;
-        for (j = 0; j < MPC_N_ROW; j++) gain[j] = h[i][j] * inverse;
-        for (j = 0; j < MPC_N_V; j++) mpc_qp_subtract(M[j], gain, h[i][j], width);
-        for (; j < rows; j++)
-            mpc_qp_subtract(M[j] + QP_CONSTANT, gain + QP_CONSTANT, h[i][j + 1],
-                            width - QP_CONSTANT);
-        M[p][p] = split[i].move * (split[i].rest * inverse);
-        M[p][QP_ONE] =
-            split[i].move * inverse * split[i].w - split[i].pull * (split[i].rest * inverse);
-        for (j = 0; j < MPC_N_U; j++)
-            if (left[j]) {
-                const double a = h[i][QP_OTHERS + j];
-                for (m = 0; m < MPC_N_ROW; m++) h[j][m] -= a * gain[m];
-                split[j].rest -= a * gain[QP_OTHERS + j];
-                split[j].w -= a * gain[QP_ONE];
-            }
-        return;
-    }
+    int j;
     /* the input is the offset, or the change of the one before it and the offset */
     memset(gain, 0, MPC_N_ROW * sizeof *gain);
     gain[QP_ONE] = -offset;
@@ -241,7 +231,7 @@ static void mpc_qp_eliminate(const mpc_qp *q, double (*restrict M)[MPC_N_M],
         }
     if (side == QP_FALLING || side == QP_RISING) {
         gain[p] = -1;
-        for (j = 0; j < width; j++) M[p][j] += h[i][j];
+        for (j = 0; j < q->width; j++) M[p][j] += h[i][j];
         for (j = 0; j < MPC_N_V; j++) M[j][p] += h[i][j];
         M[p][p] += own;
         M[p][QP_ONE] += own * offset;
@@ -250,19 +240,62 @@ static void mpc_qp_eliminate(const mpc_qp *q, double (*restrict M)[MPC_N_M],
     }
 }
 
-/* The value function before the inputs of a block, from that of (state, input) of its first
- * period, W. */
+/* Take the free inputs of a period out of the value function: the `count` last ones of `order`. */
+static int mpc_qp_eliminate(mpc_qp *q, double (*restrict M)[MPC_N_M],
+                            double (*restrict h)[MPC_N_ROW], mpc_split *split, int b,
+                            const signed char *order, int count) {
+    const int width = q->width, rows = QP_ON + q->n_on;
+    double gains[MPC_N_U][MPC_N_ROW], slopes[MPC_N_U][MPC_N_ROW]; /* the latter with signs turned */
+    double own_one[MPC_N_U][2];
+    int i, j, m, n;
+    for (n = 0; n < count; n++) {
+        const int input = order[n];
+        const double inverse = 1 / h[input][QP_OTHERS + input];
+        if (!(h[input][QP_OTHERS + input] > 0)) return 0;
+        for (j = 0; j < MPC_N_ROW; j++) {
+            gains[n][j] = h[input][j] * inverse;
+            slopes[n][j] = -h[input][j];
+        }
+        memcpy(q->gain[b][input], gains[n], sizeof gains[n]);
+        own_one[n][0] = split[input].move * (split[input].rest * inverse);
+        own_one[n][1] = split[input].move * inverse * split[input].w -
+                        split[input].pull * (split[input].rest * inverse);
+        for (i = n + 1; i < count; i++) {
+            const int other = order[i];
+            const double a = h[input][QP_OTHERS + other];
+            for (m = 0; m < MPC_N_ROW; m++) h[other][m] -= a * gains[n][m];
+            split[other].rest -= a * gains[n][QP_OTHERS + other];
+            split[other].w -= a * gains[n][QP_ONE];
+        }
+    }
+    for (j = 0; j < MPC_N_V; j++)
+        mpc_qp_add_rows(M[j], gains[0], MPC_N_ROW, &slopes[0][j], MPC_N_ROW, count, width);
+    for (; j < rows; j++)
+        mpc_qp_add_rows(M[j] + QP_CONSTANT, gains[0] + QP_CONSTANT, MPC_N_ROW, &slopes[0][j + 1],
+                        MPC_N_ROW, count, width - QP_CONSTANT);
+    /* what an input's own move leaves, without the rounding of large numbers that cancel */
+    for (n = 0; n < count; n++) {
+        const int p = MPC_N_FULL + order[n];
+        M[p][p] = own_one[n][0];
+        M[p][QP_ONE] = own_one[n][1];
+        for (i = n + 1; i < count; i++) {
+            M[p][p] += slopes[i][p] * gains[i][p];
+            M[p][QP_ONE] += slopes[i][p] * gains[i][QP_ONE];
+        }
+    }
+    return 1;
+}
+
+/* Take the inputs of a block out of the value function of (state, input) of its first period: M has
+ * the rows of the states, h those of the inputs. */
 static int mpc_qp_choose(mpc_ctx *c, int b, double (*restrict M)[MPC_N_M],
-                         double (*restrict W)[MPC_N_M]) {
+                         double (*restrict h)[MPC_N_ROW]) {
     const mpc_settings *s = &c->settings;
     mpc_qp *q = &c->qp;
-    double h[MPC_N_U][MPC_N_ROW];
     mpc_split split[MPC_N_U];
-    int i, j, count = 0, left[MPC_N_U];
-    for (i = 0; i < MPC_N_FULL; i++) {
-        for (j = 0; j < MPC_N_M; j++) M[i][j] = W[i][j];
+    int i, j, count = 0, fixed, left[MPC_N_U];
+    for (i = 0; i < MPC_N_FULL; i++)
         for (j = MPC_N_FULL; j < MPC_N_V; j++) M[i][j] = 0;
-    }
     for (i = 0; i < MPC_N_U; i++) {
         const int p = MPC_N_FULL + i, at = b * MPC_N_U + i;
         const double since = mpc_since(c, b, i);
@@ -274,10 +307,7 @@ static int mpc_qp_choose(mpc_ctx *c, int b, double (*restrict M)[MPC_N_M],
             pull += q->rate_slope[at];
         }
 #endif
-        for (j = 0; j < MPC_N_M; j++) {
-            M[p][j] = 0;
-            h[i][j] = W[p][j];
-        }
+        for (j = 0; j < MPC_N_M; j++) M[p][j] = 0;
         M[p][p] = move;
         M[p][QP_ONE] = -pull;
         for (j = 0; j < MPC_N_U; j++) {
@@ -310,16 +340,17 @@ static int mpc_qp_choose(mpc_ctx *c, int b, double (*restrict M)[MPC_N_M],
             for (j = 0; j < MPC_N_ROW; j++) q->slope[b][i][j] = h[i][j];
             q->order[b][count++] = (signed char)i;
         }
+    fixed = count;
     for (i = 0; i < MPC_N_U; i++)
         if (!q->side[b * MPC_N_U + i]) q->order[b][count++] = (signed char)i;
-    for (i = 0; i < MPC_N_U; i++) {
+    for (i = 0; i < fixed; i++) {
         const int input = q->order[b][i], side = q->side[b * MPC_N_U + input];
         if (!(h[input][QP_OTHERS + input] > 0)) return 0;
         left[input] = 0;
-        mpc_qp_eliminate(q, M, h, split, input, left, side, mpc_qp_offset(c, b, input, side),
-                         q->gain[b][input]);
+        mpc_qp_fix(q, M, h, split, input, left, side, mpc_qp_offset(c, b, input, side),
+                   q->gain[b][input]);
     }
-    return 1;
+    return mpc_qp_eliminate(q, M, h, split, b, q->order[b] + fixed, MPC_N_U - fixed);
 }
 
 /* From the value function after period k to that before it. */
@@ -329,7 +360,7 @@ static int mpc_qp_back(mpc_ctx *c, int k) {
     double (*restrict next)[MPC_N_M] = q->value[QP_VALUE(k + 1)];
     double (*restrict M)[MPC_N_M] = q->value[QP_VALUE(k)];
     double (*restrict F)[MPC_N_F] = q->F[k];
-    double left[MPC_N_V][MPC_N_M], W[MPC_N_V][MPC_N_M];
+    double left[MPC_N_V][MPC_N_M], h[MPC_N_U][MPC_N_ROW];
     const double *now = c->trajectory + k * MPC_N_FULL;
     const double *before = k ? now - MPC_N_FULL : c->full;
     double curve[MPC_ROOM(MPC_N_DAMPED)], pull[MPC_ROOM(MPC_N_DAMPED)];
@@ -350,29 +381,34 @@ static int mpc_qp_back(mpc_ctx *c, int k) {
     }
     /* and to the left */
     for (i = 0; i < MPC_N_V; i++) {
-        for (j = 0; j < MPC_N_M; j++) W[i][j] = i < MPC_N_FULL ? 0 : left[i][j];
-        mpc_qp_add_rows(W[i], left[0], MPC_N_M, &F[0][i], MPC_N_F, MPC_N_FULL, q->width);
+        double *restrict row = i < MPC_N_FULL ? M[i] : h[i - MPC_N_FULL];
+        for (j = 0; j < MPC_N_M; j++) row[j] = i < MPC_N_FULL ? 0 : left[i][j];
+        mpc_qp_add_rows(row, left[0], MPC_N_M, &F[0][i], MPC_N_F, MPC_N_FULL, q->width);
     }
     for (i = 0; i < MPC_N_DAMPED; i++) { /* less the state that a rate is since */
         const int row = mpc_damped_row[i];
-        for (j = 0; j < MPC_N_V; j++) {
-            W[j][row] -= curve[i] * F[row][j];
-            W[row][j] -= curve[i] * F[row][j];
+        for (j = 0; j < MPC_N_FULL; j++) {
+            M[j][row] -= curve[i] * F[row][j];
+            M[row][j] -= curve[i] * F[row][j];
         }
-        W[row][row] += curve[i];
-        W[row][QP_ONE] -= pull[i];
+        for (; j < MPC_N_V; j++) {
+            h[j - MPC_N_FULL][row] -= curve[i] * F[row][j];
+            M[row][j] -= curve[i] * F[row][j];
+        }
+        M[row][row] += curve[i];
+        M[row][QP_ONE] -= pull[i];
     }
     for (i = 0; i < MPC_N_U; i++) {
         const double rho = 2 * s->input_weights[i];
-        W[MPC_N_FULL + i][MPC_N_FULL + i] += rho;
-        W[MPC_N_FULL + i][QP_ONE] +=
-            rho * (c->plan[mpc_block[k] * MPC_N_U + i] - c->target.u[i]);
+        h[i][MPC_N_FULL + i] += rho;
+        h[i][QP_ONE] += rho * (c->plan[mpc_block[k] * MPC_N_U + i] - c->target.u[i]);
     }
-    if (k) mpc_qp_add_errors(c, k, W);
+    if (k) mpc_qp_add_errors(c, k, M);
     for (i = MPC_N_V; i < QP_ON + q->n_on; i++)
-        for (j = 0; j < MPC_N_M; j++) M[i][j] = j < QP_ONE ? 0 : next[i][j];
-    if (mpc_begins(k)) return mpc_qp_choose(c, mpc_block[k], M, W);
-    memcpy(M, W, sizeof W); /* the input before goes on */
+        for (j = QP_CONSTANT; j < MPC_N_M; j++) M[i][j] = next[i][j];
+    if (mpc_begins(k)) return mpc_qp_choose(c, mpc_block[k], M, h);
+    for (i = 0; i < MPC_N_U; i++) /* the input before goes on */
+        memcpy(M[MPC_N_FULL + i], h[i], sizeof M[0]);
     return 1;
 }
 

@@ -28,6 +28,7 @@ from trms_cli.core.c_source import (
     with_prefix,
 )
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.model import names
 
 #: Predicted states that a program can hold on their soft limits; more are left to the accuracy of
@@ -71,7 +72,7 @@ def sizes_of(problem: NewtonProblem, preview: int) -> dict[str, tuple[int, str]]
     n_z, n_v = horizon.n_z, problem.discrete.n_x + model.n_u
     soft = len(horizon.limited) * horizon.n_periods
     n_on = min(soft, _MOST_ON) + (_MOST_FAST if rates.any() else 0)
-    n_m = -(-(n_v + 1 + terminal + n_on) // 4) * 4
+    n_m = _filled(n_v + 1 + terminal + n_on)
     steady = len(problem.steady_state.unknowns)
     rounds = _ROUNDS_WITH_LIMITS if soft else _ROUNDS
     return {
@@ -88,6 +89,10 @@ def sizes_of(problem: NewtonProblem, preview: int) -> dict[str, tuple[int, str]]
         ),
         "N_FULL": (problem.discrete.n_x, "states, and what is remembered of past commands"),
         "N_S": (steady, "unknowns of a steady state"),
+        "REACHING": (
+            int(problem.steady_state.reaching is not None),
+            "whether angles at the reference settle a steady state",
+        ),
         "N_PATHS": (len(model.path_memory), "states that remember a path and rest at any value"),
         "N_BLOCKS": (horizon.n_blocks, "blocks of constant inputs"),
         "N_Z": (n_z, "unknowns: N_U inputs in each block"),
@@ -100,7 +105,7 @@ def sizes_of(problem: NewtonProblem, preview: int) -> dict[str, tuple[int, str]]
         "RATES_LIMITED": (int(rates.any()), "whether an input's rate is limited"),
         "ROWS_SOFT": (soft, "soft limits over the horizon"),
         "N_V": (n_v, "states and inputs: what a value function is of"),
-        "N_F": (-(-n_v // 4) * 4, "the same, filled up to a multiple of 4"),
+        "N_F": (_filled(n_v), "the same, filled up to a multiple of 4"),
         "N_ON": (n_on, "soft limits and rates that may be met exactly at once"),
         "N_PRICES": (terminal + n_on, "multipliers"),
         "N_M": (n_m, "states, inputs, 1 and multipliers, filled up in the same way"),
@@ -265,9 +270,11 @@ def functions_of(problem: NewtonProblem) -> dict[str, ca.Function]:
     """What is generated of a problem, by its names in C."""
     functions = {
         "mpc_model_step": problem.discrete.step,
-        "mpc_model_slopes": problem.discrete.slopes(),
+        "mpc_model_slopes": _slopes_by_row(problem.discrete),
         "mpc_steady_state_step": problem.steady_state.function,
     }
+    if problem.steady_state.reaching is not None:
+        functions["mpc_reaching_step"] = problem.steady_state.reaching
     if not problem.horizon.is_linear:
         functions["mpc_reference_rates"] = _reference_rates(problem)
     return functions
@@ -389,6 +396,23 @@ def _room(code: GeneratedFunctions) -> list[str]:
         lines.append(f"#define MPC_{word}_ARG {function.sz_arg()}")
         lines.append(f"#define MPC_{word}_RES {function.sz_res()}")
     return lines
+
+
+def _slopes_by_row(discrete: DiscreteModel) -> ca.Function:
+    """``(x, u, p, w)`` → x⁺ and its slopes in (x, u), row after row, filled up as in C."""
+    slopes = discrete.slopes("by_column")
+    symbol = ca.SX.sym if slopes.is_a("SXFunction") else ca.MX.sym
+    at = [symbol(name, slopes.size1_in(i)) for i, name in enumerate("xupw")]
+    after, in_x, in_u = slopes(*at)
+    n_v = discrete.n_x + discrete.model.n_u
+    filling = ca.DM.zeros(_filled(n_v) - n_v, discrete.n_x)
+    by_row = ca.densify(ca.vertcat(in_x.T, in_u.T, filling))
+    return ca.Function("slopes", at, [after, by_row])
+
+
+def _filled(count: int) -> int:
+    """The next multiple of 4."""
+    return -(-count // 4) * 4
 
 
 def _reference_rates(problem: NewtonProblem) -> ca.Function:

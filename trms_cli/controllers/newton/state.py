@@ -73,6 +73,7 @@ class TerminalRegions:
             engine.set_region(self._centre, self.region.root, self.region.level)
         if engine is not present:
             engine.plan[:], engine.trajectory[:] = present.plan, present.trajectory
+            engine.remaining_share = present.remaining_share
         return engine
 
     def tail(self, newton: NewtonStep, target: Target) -> FloatArray:
@@ -215,10 +216,6 @@ class NewtonMpcState:
     def step(self, sample: ControlSample, *, want_prediction: bool) -> Command:
         """One sample: target, Newton iterations, command."""
         self.begin_sample(sample)
-        return self.solve(want_prediction=want_prediction)
-
-    def solve(self, *, want_prediction: bool) -> Command:
-        """The command of the sample that was taken in."""
         newton, target, config = self.newton, self.target, self.config
         if not self.inputs_finite:
             return self.fall_back(self.problem.name, config.fallback, NOT_FINITE)

@@ -12,6 +12,10 @@
 #define SS_SLOPE_TOLERANCE 1e-12
 #define SS_BESIDE 0.05         /* rad between references that share their closest point */
 #define SS_N (MPC_N_S + MPC_N_U)
+/* Of a search with the angles at the reference. */
+#define SS_QUICK_TOLERANCE 1e-10
+#define SS_QUICK_ITERATIONS 6
+#define SS_QUICK_SHARE 0.5 /* of its limit, that an input moves in an iteration at most */
 
 static void mpc_ss_evaluate(mpc_ctx *c) {
     const double *arguments[MPC_ROOM(MPC_STEADY_ARG)];
@@ -230,6 +234,48 @@ static int mpc_ss_within_reach(mpc_ctx *c, const double *asked, mpc_target *targ
     return 0;
 }
 
+#if MPC_REACHING
+/* The target of a reference that is reached with no input at its bound, from such a target: the
+ * angles stand at the reference, and f = 0 alone is solved. Whether it is one. */
+static int mpc_ss_reach(mpc_ctx *c, const mpc_target *guess, const double *asked,
+                        mpc_target *target) {
+    static const int no_bounds[MPC_N_U] = {0};
+    const double *arguments[MPC_ROOM(MPC_REACHING_ARG)];
+    double *results[MPC_ROOM(MPC_REACHING_RES)];
+    mpc_steady *s = &c->steady;
+    int i, k;
+    if (guess->projected) return 0;
+    for (i = 0; i < MPC_N_U; i++)
+        if (guess->active[i]) return 0;
+    for (i = 0; i < MPC_N_R; i++)
+        if (s->r[i] != asked[i]) return 0;
+    for (i = 0; i < MPC_N_S; i++) {
+        s->z[i] = guess->x[mpc_steady_rows[i]];
+        s->z[SS_N + i] = 0;
+    }
+    memcpy(s->z + MPC_N_S, guess->u, sizeof guess->u);
+    for (i = 0; i < MPC_N_R; i++) s->z[mpc_steady_controlled[i]] = asked[i];
+    arguments[0] = s->z;
+    arguments[1] = s->w;
+    arguments[2] = c->settings.p;
+    results[0] = s->z_next;
+    results[1] = s->report;
+    results[2] = s->x;
+    for (k = 0; k < SS_QUICK_ITERATIONS; k++) {
+        mpc_reaching_step(arguments, results, c->iw, c->work, 0);
+        c->steady_iterations++;
+        if (s->report[0] <= SS_QUICK_TOLERANCE) break;
+        for (i = MPC_N_S; i < SS_N; i++)
+            if (!(fabs(s->z_next[i] - s->z[i]) <= SS_QUICK_SHARE * c->settings.upper[i - MPC_N_S]))
+                return 0;
+        memcpy(s->z, s->z_next, SS_N * sizeof *s->z);
+    }
+    if (k == SS_QUICK_ITERATIONS || mpc_ss_outside(c, no_bounds)) return 0;
+    mpc_ss_target(c, asked, no_bounds, target);
+    return 1;
+}
+#endif
+
 static void mpc_ss_solve(mpc_ctx *c, const double *asked, const double *w,
                          const mpc_target *guess, mpc_target *target) {
     mpc_steady *s = &c->steady;
@@ -242,6 +288,9 @@ static void mpc_ss_solve(mpc_ctx *c, const double *asked, const double *w,
     for (i = 0; i < MPC_N_S; i++) s->rest[i] = c->settings.steady_rest[i];
     for (i = 0; i < MPC_N_PATHS; i++)
         s->rest[mpc_memory_unknown[i]] = c->full[mpc_memory_row[i]];
+#if MPC_REACHING
+    if (guess != NULL && mpc_ss_reach(c, guess, asked, target)) return;
+#endif
     if (guess != NULL && mpc_ss_from(c, guess, asked, target)) {
         /* The closest point found from nearby may be closest in its neighbourhood only, and what
          * kept the reference out of reach may have gone. */

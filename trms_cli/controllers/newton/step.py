@@ -20,6 +20,8 @@ _ARMIJO = 1e-4
 _STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 #: Share of the tolerance that a converged plan is expected to be off.
 _EXPECTED = 0.1
+#: Exponent of what is known of the convergence, from sample to sample.
+_DOUBT = 0.8
 #: A step that goes a smaller share of the way to the steady-state input leaves it where it is.
 _STUCK = 0.02
 
@@ -66,6 +68,7 @@ class NewtonStep:
         self._evaluate = horizon.evaluate  # compiled before the first sample
         self.linearise_time = self.qp_time = 0.0
         self._tolerance = 0.0
+        self.remaining_share = np.inf
         self._constant_terms()
         self._program_rows(largest_moves)
 
@@ -168,6 +171,7 @@ class NewtonStep:
 
     def _solve(self, max_iterations: int, tolerance: float) -> NewtonResult:
         self._tolerance = tolerance
+        self.remaining_share **= _DOUBT
         if self._rate_limited:
             self.limit_rates(self.plan)
         outcome = NewtonResult(0, False, False, False, np.nan, np.nan, np.nan, np.nan, np.nan)
@@ -214,9 +218,23 @@ class NewtonStep:
         largest = _largest(step)
         outcome.converged = largest <= tolerance
         is_full = self._move(z, step, float(step @ curvature), merit_now, outcome) >= 1.0
-        if is_full and _is_last(outcome.largest_move, largest, tolerance):
+        if not is_full:
+            self.remaining_share = np.inf
+        elif self._is_last(outcome.largest_move, largest):
             outcome.converged = True
         outcome.largest_move = largest if is_full else 0.0
+
+    def _is_last(self, before: float, now: float) -> bool:
+        """Whether what is left after a full step is negligible.
+
+        Steps that shrink by θ leave θ/(1 − θ) of the last one. The first step of a sample has no θ
+        yet; that of the last sample stands in, believed a little less each time (Hairer & Wanner,
+        Solving ODEs II, IV.8). ``before``, ``now``: V; largest moves of the last two full steps,
+        ``before`` 0 for a first one.
+        """
+        if before > 0.0:
+            self.remaining_share = now / (before - now) if now < before else np.inf
+        return now * self.remaining_share <= _EXPECTED * self._tolerance
 
     def _is_stuck(self, step: FloatArray) -> bool:
         way = np.abs(self.plan - self.horizon.arguments["u_s"][:, None]).max(axis=1)
@@ -326,15 +344,6 @@ class NewtonStep:
                 plan[:, block], previous - self.largest_moves, previous + self.largest_moves
             )
             plan[:, block] = previous
-
-
-def _is_last(before: float, now: float, tolerance: float) -> bool:
-    """Whether what is left after a full step is negligible.
-
-    Steps that shrink by θ leave θ/(1 − θ) of the last one (Hairer & Wanner, Solving ODEs II, IV.8).
-    ``before``, ``now``: V; largest moves of the last two steps.
-    """
-    return now < before and now * now <= _EXPECTED * tolerance * (before - now)
 
 
 def _largest(vector: FloatArray) -> float:
