@@ -216,6 +216,10 @@ class NewtonMpcState:
     def step(self, sample: ControlSample, *, want_prediction: bool) -> Command:
         """One sample: target, Newton iterations, command."""
         self.begin_sample(sample)
+        return self.solve(want_prediction=want_prediction)
+
+    def solve(self, *, want_prediction: bool) -> Command:
+        """The command of the sample that was taken in."""
         newton, target, config = self.newton, self.target, self.config
         if not self.inputs_finite:
             return self.fall_back(self.problem.name, config.fallback, NOT_FINITE)
