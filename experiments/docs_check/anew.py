@@ -139,7 +139,9 @@ def compare(source: Source, keys: Sequence[str], copy: Path, root: Path = ROOT) 
                 next((b.text for b in blocks_of(text) if b.name == table), "")
                 for text in ((root / page).read_text("utf-8"), (copy / page).read_text("utf-8"))
             )
-            changes += compare_blocks(old, new, key, source.tolerance_of(table), source.times)
+            changes += compare_blocks(
+                old, new, key, source.tolerance_of(table), source.times, source.digits
+            )
         elif not (copy / key).is_file():
             changes.append(Change(key, "", "a picture", ""))
         elif not source.is_time(key):

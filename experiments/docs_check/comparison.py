@@ -50,16 +50,23 @@ class _Row:
 
 
 def compare_blocks(
-    old: str, new: str, where: str, tolerance: float, times: Sequence[str] = ()
+    old: str,
+    new: str,
+    where: str,
+    tolerance: float,
+    times: Sequence[str] = (),
+    digits: float = 1.0,
 ) -> list[Change]:
     """The changes from an old block to a new one.
 
     Parameters
     ----------
     tolerance : float
-        Share of a number by which it may move, beside one of its last digit.
+        Share of a number by which it may move, beside its last digit.
     times : sequence of str
         Cells, columns, rows and lines with such words are not compared.
+    digits : float
+        By how many of its last digit a number may move.
     """
     before, after = list(_rows(old, times)), list(_rows(new, times))
     matcher = difflib.SequenceMatcher(
@@ -69,10 +76,10 @@ def compare_blocks(
     for kind, i, i_end, j, j_end in matcher.get_opcodes():
         if kind == "equal":
             for first, second in zip(before[i:i_end], after[j:j_end], strict=True):
-                changes += _moved(first, second, where, tolerance)
+                changes += _moved(first, second, where, tolerance, digits)
         elif i_end - i == j_end - j:
             for first, second in zip(before[i:i_end], after[j:j_end], strict=True):
-                changes += _other_words(first, second, where, tolerance)
+                changes += _other_words(first, second, where, tolerance, digits)
         else:
             changes += [
                 Change(where, row.label, " | ".join(row.cells), "") for row in before[i:i_end]
@@ -112,32 +119,32 @@ def _is_name(cell: str) -> bool:
     return not _NUMBER.search(cell)
 
 
-def _moved(old: _Row, new: _Row, where: str, tolerance: float) -> list[Change]:
+def _moved(old: _Row, new: _Row, where: str, tolerance: float, digits: float) -> list[Change]:
     changes = []
     for head, timed, first, second in zip(old.heads, old.timed, old.cells, new.cells, strict=True):
-        if not timed and not _same(first, second, tolerance):
+        if not timed and not _same(first, second, tolerance, digits):
             row = f"{old.label}, {head}".strip(", ")
             changes.append(Change(where, row, first, second))
     return changes
 
 
-def _other_words(old: _Row, new: _Row, where: str, tolerance: float) -> list[Change]:
+def _other_words(old: _Row, new: _Row, where: str, tolerance: float, digits: float) -> list[Change]:
     if len(old.cells) != len(new.cells):
         return [Change(where, old.label, " | ".join(old.cells), " | ".join(new.cells))]
-    return _moved(old, new, where, tolerance)
+    return _moved(old, new, where, tolerance, digits)
 
 
-def _same(old: str, new: str, tolerance: float) -> bool:
+def _same(old: str, new: str, tolerance: float, digits: float) -> bool:
     if _NUMBER.sub("#", old) != _NUMBER.sub("#", new):
         return False
     pairs = zip(_NUMBER.findall(old), _NUMBER.findall(new), strict=True)
-    return all(_near(first, second, tolerance) for first, second in pairs)
+    return all(_near(first, second, tolerance, digits) for first, second in pairs)
 
 
-def _near(old: str, new: str, tolerance: float) -> bool:
+def _near(old: str, new: str, tolerance: float, digits: float) -> bool:
     before, after = (float(word.replace("−", "-")) for word in (old, new))
     last = max(_last_digit(old), _last_digit(new)) if _is_rounded(old, new) else 0.0
-    return abs(after - before) <= 1.001 * last + tolerance * abs(before)
+    return abs(after - before) <= 1.001 * digits * last + tolerance * abs(before)
 
 
 def _is_rounded(*words: str) -> bool:

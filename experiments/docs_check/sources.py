@@ -23,6 +23,7 @@ class Source(msgspec.Struct, forbid_unknown_fields=True):
     seconds: float = 0.0
     cheap: bool = False
     tolerance: float = 0.0
+    digits: float = 1.0
     tolerances: dict[str, float] = {}
     times: list[str] = []
     timed: list[str] = []

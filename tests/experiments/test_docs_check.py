@@ -162,6 +162,8 @@ def test_a_share_of_a_number_may_be_allowed():
     new = TABLE.replace("0.123", "0.126")
     assert compare_blocks(TABLE, new, "", 0.02, []) == []
     assert len(compare_blocks(TABLE, new, "", 0.01, [])) == 1
+    assert compare_blocks(TABLE, new, "", 0.0, [], digits=3.0) == []
+    assert len(compare_blocks(TABLE, new, "", 0.0, [], digits=2.0)) == 1
 
 
 def test_pictures_differ_by_the_share_of_their_area(tmp_path):
