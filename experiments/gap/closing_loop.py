@@ -152,16 +152,38 @@ def control(
     report: Report,
 ) -> list[Tracking]:
     """Control every rig in every task with every model; runs that are there already are taken."""
+    every = rigs_of(study)
+    return control_with(
+        lambda rig, model: model_of(rig, model, out), rigs, tasks, models, study, out, report, every
+    )
+
+
+def control_with(
+    chosen: Callable[[Rig, str], Model],
+    rigs: Sequence[Rig],
+    tasks: Mapping[str, Sequence[str]],
+    models: Sequence[str],
+    study: Mapping[str, Any],
+    out: Path,
+    report: Report,
+    among: Sequence[Rig] = (),
+) -> list[Tracking]:
+    """:func:`control` with models that ``chosen`` gives, by their names.
+
+    ``among``: all rigs that there are, of which those given are some; empty: those given.
+    """
     runs = [(rig, task, model) for task in tasks for model in models for rig in rigs]
     missing = [run for run in runs if not _file(*run, out).exists()]
     if missing:
         loops = {task: loop_of(words) for task, words in tasks.items()}
-        _control(missing, loops, study, out, report)
+        _control(chosen, missing, among or rigs, loops, study, out, report)
     return [Tracking(**json.loads(_file(*run, out).read_text(encoding="utf-8"))) for run in runs]
 
 
 def _control(
+    chosen: Callable[[Rig, str], Model],
     runs: Sequence[tuple[Rig, str, str]],
+    among: Sequence[Rig],
     loops: Mapping[str, Loop],
     study: Mapping[str, Any],
     out: Path,
@@ -169,7 +191,7 @@ def _control(
 ) -> None:
     duration, step = study["run"]["duration"], study["record"]["sample_time"]
     report(f"making models and loops of {len(runs)} runs")
-    models = {(rig.name, model): model_of(rig, model, out) for rig, _, model in runs}
+    models = {(rig.name, model): chosen(rig, model) for rig, _, model in runs}
     driver = ModelBased(
         [loops[task] for _, task, _ in runs],
         [models[rig.name, model] for rig, _, model in runs],
@@ -178,7 +200,7 @@ def _control(
     )
     report(f"{len(runs)} runs of {duration:g} s")
     rigs = [rig for rig, _, _ in runs]
-    recorded = drive_rigs(rigs, driver, duration, step, among=rigs_of(study), seed=_RUN_SEED)
+    recorded = drive_rigs(rigs, driver, duration, step, among=among, seed=_RUN_SEED)
     for i, run in enumerate(runs):
         angles, commands = recorded.measured[i, :, :2], recorded.commands[i]
         references = driver.references[i]

@@ -13,13 +13,17 @@ from pathlib import Path
 #: Whose model the controller and the observer get.
 NOMINAL, REFIT, DIAGNOSED = "nominal", "refit", "diagnosed"
 KNOWN_CAUSE, TRUE = "known_cause", "true"
+#: The refitted model with a network of torques.
+NETWORK = "network"
+NETWORK_WORDS = ("model=newtonian_with_network", "method=torque_network")
 MODELS = (NOMINAL, REFIT, DIAGNOSED, KNOWN_CAUSE, TRUE)
 
 
-def identify_model(recording: Path, out: Path, effect: str = "") -> Path:
+def identify_model(recording: Path, out: Path, effect: str = "", words: Sequence[str] = ()) -> Path:
     """``trms identify`` on a recording: all parameters with priors, and the sizes of an effect.
 
-    Returns of the fitted model; an earlier fit in the same folder is taken.
+    ``words``: more overrides. Returns the path of the fitted model; an earlier fit in the same
+    folder is taken.
     """
     from trms_cli.composition.composer import compose
     from trms_cli.library.tasks import identify
@@ -27,7 +31,7 @@ def identify_model(recording: Path, out: Path, effect: str = "") -> Path:
 
     model = out / identify.MODEL_NAME
     if not model.exists():
-        words = [f"real='{recording}'", f"out='{out}'", "picture=false", "jobs=1"]
+        words = [f"real='{recording}'", f"out='{out}'", "picture=false", "jobs=1", *words]
         if effect:
             words += [f"effect={effect}", f"free=[priors,'{effect}.*']"]
         with _silence():

@@ -33,7 +33,7 @@ class Rig:
     """A rig and what is hidden in it."""
 
     effect: str
-    sizes: Mapping[str, float]  #: Of the effect
+    sizes: Mapping[str, float]  #: Of the effect; empty for a rig that has none
     seed: int
     parameters: ParameterSet
 
@@ -44,7 +44,7 @@ class Rig:
     def write_true_model(self, path: Path) -> Path:
         """The rig's parameters with the library's effect at the rig's sizes, as a model file."""
         values = {p.name: {"value": p.value, "unit": p.unit} for p in self.parameters}
-        effects = {self.effect: dict(self.sizes)}
+        effects = {self.effect: dict(self.sizes)} if self.sizes else {}
         limits = {"u_v": 2.5, "u_h": 2.5, "alpha_v": 1.05, "alpha_h": 2.8}
         document = {"name": self.name, "model": "newtonian", "parameters": values}
         write_model(document | {"limits": limits, "effects": effects}, path)
@@ -88,7 +88,8 @@ class OwnDraws(np.random.Generator):
         return super().uniform(low, high, self._shape(size))[..., self._places]
 
     def normal(self, loc: Any = 0.0, scale: Any = 1.0, size: Any = None) -> Any:
-        return super().normal(loc, scale, self._shape(size))[..., self._places]
+        # as Generator.normal computes it; ``loc`` and ``scale`` may be those of each column
+        return loc + scale * super().standard_normal(self._shape(size))[..., self._places]
 
     def standard_normal(self, size: Any = None, *_: Any, **__: Any) -> Any:
         return super().standard_normal(self._shape(size))[..., self._places]

@@ -15,6 +15,8 @@ The name of a built-in set may stand for all parameters: ``parameters: bench``.
 An effect that is not in the library gives its class by ``_target_``, and all its arguments. So
 does a model that is none of the options: ``model: {_target_: own_lab.OwnModel, …}``.
 
+The network of :mod:`trms_cli.models.newtonian_with_network` stands under ``torque_network``.
+
 A trained network stands for a model too, and so does a linear model; see
 :mod:`trms_cli.models.narx_file` and :mod:`trms_cli.models.linear_file` for their forms.
 """
@@ -31,6 +33,8 @@ from trms_cli.effects.extended_model import extend_model
 from trms_cli.models import linear_file, narx_file
 from trms_cli.models.black_box import kind_of_file
 from trms_cli.models.model import Model
+from trms_cli.models.newtonian_with_network import KEY as TORQUE_NETWORK
+from trms_cli.models.newtonian_with_network import NewtonianWithNetwork
 from trms_cli.models.parameters import (
     ParameterFile,
     ParameterSet,
@@ -76,6 +80,12 @@ def load_model(
         content = parameter_file(path, where="model.path")
         model = _nominal(content, path)
         _check_parameters(content, model, path)
+        if content.torque_network and not isinstance(model, NewtonianWithNetwork):
+            raise ModelError(
+                f"model {content.model!r} has no place for a network",
+                where=f"{path}: {TORQUE_NETWORK}",
+                remedy=f"model: {NewtonianWithNetwork.OPTION}, or leave the network out",
+            )
         # A model with a locked axis keeps the limits of the whole rig in its file.
         limit_names = {*model.input_limits, *model.stops, "u_v", "u_h", "alpha_v", "alpha_h"}
         check_limits(content.limits, limit_names, f"{path}: limits")

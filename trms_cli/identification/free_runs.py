@@ -397,6 +397,8 @@ def add_free_runs(problem: FitProblem, assessment: Assessment, fitted: Model | N
     ``fitted``: the model that a network was trained to; None: the problem's with the fitted values.
     """
     after = fitted or with_values(problem.model, assessment.result.values)
+    if assessment.result.remodel is not None:
+        after = assessment.result.remodel(after)
     parts = {"fit": problem.datasets, "held_out": problem.validation}
     length, jobs = problem.window_length, problem.jobs
     for part, datasets in parts.items():

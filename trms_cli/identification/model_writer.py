@@ -19,6 +19,8 @@ from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.identification.problem import FreeParameter
 from trms_cli.models.model import Model
+from trms_cli.models.newtonian_with_network import KEY as TORQUE_NETWORK
+from trms_cli.models.newtonian_with_network import NewtonianWithNetwork
 from trms_cli.models.parameters import Parameter
 
 _DIGITS = 6  # significant digits of what a person reads; values keep every bit
@@ -77,6 +79,8 @@ def model_document(
         document["limits"] = dict(origin.limits)
     if sizes:
         document["effects"] = sizes
+    if isinstance(beneath, NewtonianWithNetwork) and beneath.torque_network is not None:
+        document[TORQUE_NETWORK] = beneath.torque_network.to_data()
     return document
 
 

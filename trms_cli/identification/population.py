@@ -150,6 +150,11 @@ class Journal:
         assert isinstance(data, dict)
         return data
 
+    @property
+    def generations(self) -> tuple[Generation, ...]:
+        """Those that stand here, in order."""
+        return tuple(self._entries)
+
     def recorded(self, number: int, points: FloatArray) -> Generation | None:
         """The generation `number` (from 0 on) if it stands here.
 

@@ -6,7 +6,7 @@ gives back the fitted model, and can be stopped on the way.
 
 import copy
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, runtime_checkable
@@ -363,6 +363,9 @@ class FitResult:
     seconds: float = 0.0  #: s, that the fit took
     #: A model that is not a parameter set (a network), as the content of a model file
     model_document: Mapping[str, Any] | None = None
+    #: What the method made of the problem's model besides the values, of any model with the same
+    #: one beneath; None: nothing
+    remodel: Callable[[Model], Model] | None = None
     details: Mapping[str, Any] = field(default_factory=dict)  #: What else there is to tell, as JSON
 
     @property

@@ -160,6 +160,8 @@ class ParameterFile(msgspec.Struct, forbid_unknown_fields=True):
     parameters: dict[str, _Entry]
     limits: dict[str, float] = {}
     effects: dict[str, dict[str, Any]] = {}
+    #: Of :mod:`trms_cli.models.newtonian_with_network`, which reads it
+    torque_network: dict[str, Any] = {}
     source: str = ""
 
     def require(self, names: Iterable[str], sets: str) -> None:

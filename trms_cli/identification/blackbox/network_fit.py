@@ -1,8 +1,9 @@
 """What methods of networks share: recordings made ready for a fit, and the result of trainings."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from msgspec import Meta
@@ -14,6 +15,7 @@ from trms_cli.identification.blackbox.prediction_error import (
     OneStepError,
     Samples,
     Scaling,
+    Structure,
     normalised_rms,
     predict_samples,
     rows,
@@ -49,7 +51,8 @@ Lag = Annotated[int, Meta(ge=1)]
 class Regressors:
     """What a network predicts from, as configuration has it."""
 
-    output_lags: tuple[Lag, ...] = (1, 2)  #: Samples back, rising from 1 on
+    #: Samples back, rising from 1 on; empty for a network of past commands alone
+    output_lags: tuple[Lag, ...] = (1, 2)
     input_lags: tuple[Lag, ...] = (1, 2)  #: Samples back, rising from 1 on
     sample_time: Annotated[float, Meta(gt=0)] | None = None  #: s; None: the recordings'
     incremental: bool = True  #: The network gives the change of the outputs, else the outputs
@@ -64,7 +67,7 @@ class Regressors:
 
         Raises ConfigurationError for lags that do not fit; it names the key.
         """
-        try:
+        with complaints_by_key():
             return NarxStructure(
                 names(outputs),
                 names(inputs),
@@ -76,17 +79,35 @@ class Regressors:
                 self.incremental,
                 self.differences,
             )
-        except TrmsError as error:
-            raise ConfigurationError(
-                error.problem, where=f"method.regressors.{error.where}", remedy=error.remedy
-            ) from error
+
+
+@contextmanager
+def complaints_by_key() -> Iterator[None]:
+    """Complaints of a structure name the key of ``method.regressors``."""
+    try:
+        yield
+    except TrmsError as error:
+        raise ConfigurationError(
+            error.problem, where=f"method.regressors.{error.where}", remedy=error.remedy
+        ) from error
+
+
+class RegressorOptions(Protocol):
+    """What a network predicts from, as :class:`Regressors` or another form."""
+
+    @property
+    def smoothing(self) -> float: ...
+
+    def structure(
+        self, outputs: Sequence[Signal], inputs: Sequence[Signal], sample_time: float
+    ) -> Structure: ...
 
 
 @dataclass(frozen=True)
 class NetworkData:
     """Recordings at a network's sample time."""
 
-    structure: NarxStructure
+    structure: Structure
     scaling: Scaling  #: Of the fitted recordings
     fitted: list[Samples]  #: As measured
     validation: list[Samples]  #: As measured
@@ -142,6 +163,7 @@ class NetworkData:
         every: int = 1,
     ) -> MultiStepError:
         """The simulation error over windows; they start from smoothed samples."""
+        assert isinstance(self.structure, NarxStructure)
         return MultiStepError(
             network,
             self.structure,
@@ -163,11 +185,12 @@ class NetworkData:
             scale.regressor_sd,
             scale.output_mean,
             scale.output_sd,
+            getattr(network, "activation", "tanh"),
         )
 
 
 def prepare_fit(
-    regressors: Regressors, problem: FitProblem, training: TrainingAlgorithm
+    regressors: RegressorOptions, problem: FitProblem, training: TrainingAlgorithm
 ) -> NetworkData:
     """Bring recordings to the form that networks are fitted to.
 
@@ -180,6 +203,11 @@ def prepare_fit(
             where="method.training",
             remedy="choose one of `trms list training`: training@method.training=lm",
         )
+    return prepare_samples(regressors, problem)
+
+
+def prepare_samples(regressors: RegressorOptions, problem: FitProblem) -> NetworkData:
+    """:func:`prepare_fit` for what no training algorithm fits."""
     fitted, validation = problem.datasets, problem.validation
     first = fitted[0]
     structure = regressors.structure(first.outputs, first.inputs, first.sample_time)
@@ -196,7 +224,8 @@ def prepare_fit(
     return NetworkData(structure, scale, raw, raw_validation, smooth, smooth_validation)
 
 
-_OUTCOMES = {
+#: How a fit ended whose last training ended so.
+OUTCOMES = {
     Ending.GRADIENT: FitOutcome.CONVERGED,
     Ending.VALIDATION: FitOutcome.CONVERGED,
     Ending.GOAL: FitOutcome.CONVERGED,
@@ -285,7 +314,7 @@ def fit_result(
     )
     return FitResult(
         method=method,
-        outcome=_OUTCOMES[last.outcome],
+        outcome=OUTCOMES[last.outcome],
         cost=float(last.history.losses[last.best_epoch]),
         history=history,
         evaluations=evaluations,

@@ -12,12 +12,22 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from trms_cli.core.arrays import FloatArray
+from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.errors import RecordingError
+from trms_cli.identification.blackbox.recursion import (
+    corrects_itself,
+    filled,
+    recursion_of,
+    simulate_states,
+)
 from trms_cli.identification.blackbox.trainable import TrainableNetwork
 from trms_cli.identification.dataset import Dataset
+from trms_cli.models.innovation_network import InnovationStructure
 from trms_cli.models.model import names
 from trms_cli.models.network import NarxStructure, Network
+
+#: What the networks of this package predict from.
+Structure = NarxStructure | InnovationStructure
 
 #: A signal whose spread is below this share of its size never moves, rounding apart.
 _LEAST_SPREAD = 1e-9
@@ -134,14 +144,18 @@ def smooth_outputs(outputs: FloatArray, window: int) -> FloatArray:
     return result
 
 
-def rows(structure: NarxStructure, samples: Samples) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """Regressors (n, n_phi), targets (n, n_y) and the sample that each row predicts, (n,).
+def rows(structure: Structure, samples: Samples) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """Regressors (n, n_phi), targets (n, n_out) and the sample that each row predicts, (n,).
 
-    Rows that lack a sample are left out.
+    Residuals among the regressors are zero. Of a network in innovations form the states are the
+    measured samples that they foretell. Rows that lack a sample are left out.
     """
+    if isinstance(structure, InnovationStructure):
+        return _state_rows(structure, samples)
     first, n = structure.longest_lag, len(samples)
     lagged = [samples.outputs[first - lag : n - lag] for lag in structure.output_lags]
     lagged += [samples.inputs[first - lag : n - lag] for lag in structure.input_lags]
+    lagged.append(np.zeros((max(0, n - first), structure.n_residuals)))
     regressors = np.hstack(lagged) @ structure.arrangement().T
     targets = samples.outputs[first:].copy()
     if structure.incremental:
@@ -150,7 +164,20 @@ def rows(structure: NarxStructure, samples: Samples) -> tuple[FloatArray, FloatA
     return regressors[complete], targets[complete], np.arange(first, n)[complete]
 
 
-def scaling(structure: NarxStructure, recordings: Sequence[Samples]) -> Scaling:
+def _state_rows(
+    structure: InnovationStructure, samples: Samples
+) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    order, n_y, n = structure.order, len(structure.outputs), len(samples)
+    outputs = samples.outputs
+    states = np.hstack([outputs[j : n - order + j] for j in range(order)])
+    regressors = np.hstack([states, samples.inputs[: n - order], np.zeros((len(states), n_y))])
+    following = np.hstack([outputs[j + 1 : n - order + j + 1] for j in range(order)])
+    targets = following - states @ structure.shift().T
+    complete = np.isfinite(states).all(axis=1) & np.isfinite(targets).all(axis=1)
+    return regressors[complete], targets[complete], np.arange(order, n)[complete]
+
+
+def scaling(structure: Structure, recordings: Sequence[Samples]) -> Scaling:
     """Scales from the recordings that a network is fitted to.
 
     Raises RecordingError if there are fewer rows than regressors, or a signal never moves.
@@ -177,12 +204,13 @@ def scaling(structure: NarxStructure, recordings: Sequence[Samples]) -> Scaling:
                     "random command (`trms excite`)",
                 )
     levels = np.vstack([samples.outputs for samples in recordings])
+    mean, sd = targets.mean(axis=0), _spread(targets)
+    if isinstance(structure, InnovationStructure):
+        # Measured samples move up without error; predicted ones by as much as the last ones do.
+        n_y = len(structure.outputs)
+        mean[:-n_y], sd = 0.0, np.tile(sd[-n_y:], structure.order)
     return Scaling(
-        regressors.mean(axis=0),
-        _spread(regressors),
-        targets.mean(axis=0),
-        _spread(targets),
-        np.nanstd(levels, axis=0),
+        regressors.mean(axis=0), _spread(regressors), mean, sd, np.nanstd(levels, axis=0)
     )
 
 
@@ -192,8 +220,17 @@ def _spread(values: FloatArray) -> FloatArray:
     return np.asarray(np.where(spread > 0, spread, 1.0))
 
 
-def predict_samples(structure: NarxStructure, network: Network, samples: Samples) -> FloatArray:
-    """Each sample from the measured ones before it, (n, n_y); NaN where one is missing."""
+def predict_samples(structure: Structure, network: Network, samples: Samples) -> FloatArray:
+    """Each sample from the measured ones before it, (n, n_y); NaN where one is missing.
+
+    A network with residuals among its regressors runs through the whole recording, from residuals
+    of zero on.
+    """
+    if corrects_itself(structure):
+        outputs = filled(samples.outputs)[:, None]
+        run = recursion_of(structure).run(network, outputs, samples.inputs[:, None])[:, 0]
+        run[: structure.longest_lag] = np.nan
+        return run
     regressors, _, place = rows(structure, samples)
     result = np.full_like(samples.outputs, np.nan)
     result[place] = network.evaluate(regressors)
@@ -203,15 +240,18 @@ def predict_samples(structure: NarxStructure, network: Network, samples: Samples
 
 
 def free_run(
-    structure: NarxStructure, network: Network, past: FloatArray, inputs: FloatArray
+    structure: Structure, network: Network, past: FloatArray, inputs: FloatArray
 ) -> FloatArray:
     """Simulate windows side by side on the network's own outputs, (K, m, n_y).
 
     ``past``: (L, m, n_y) array; the ``structure.longest_lag`` samples before each of m windows.
     ``inputs``: (L + K, m, n_u) array; commands of the same samples and of the windows. The result
-    is not finite after a divergence.
+    is not finite after a divergence. Residuals among the regressors are zero.
     """
+    if isinstance(structure, InnovationStructure):
+        return simulate_states(structure, network, past, inputs)
     first = structure.longest_lag
+    none = np.zeros((inputs.shape[1], structure.n_residuals))
     levels = np.empty((len(inputs), *past.shape[1:]))
     levels[:first] = past
     arrangement = structure.arrangement().T
@@ -219,13 +259,13 @@ def free_run(
         for k in range(first, len(inputs)):
             lagged = [levels[k - lag] for lag in structure.output_lags]
             lagged += [inputs[k - lag] for lag in structure.input_lags]
-            levels[k] = network.evaluate(np.hstack(lagged) @ arrangement)
+            levels[k] = network.evaluate(np.hstack([*lagged, none]) @ arrangement)
             if structure.incremental:
                 levels[k] += levels[k - 1]
     return levels[first:]
 
 
-def simulate_network(structure: NarxStructure, network: Network, samples: Samples) -> FloatArray:
+def simulate_network(structure: Structure, network: Network, samples: Samples) -> FloatArray:
     """One free run over a whole recording, (n, n_y); the first samples are the measured ones."""
     past = samples.outputs[: structure.longest_lag]
     run = free_run(structure, network, past[:, None], samples.inputs[:, None])
@@ -279,7 +319,7 @@ class TrainingObjective(Protocol):
         """Loss, JᵀJ and Jᵀr."""
 
 
-def _accumulated(
+def accumulated(
     parts: Iterable[tuple[FloatArray, FloatArray]], size: int, n_residuals: int
 ) -> NormalEquations:
     """Normal equations from residuals (k, n_out) and slopes (k, n_out, P), part by part."""
@@ -327,7 +367,7 @@ class OneStepError:
         return loss, slope
 
     def normal_equations(self, theta: FloatArray) -> NormalEquations:
-        return _accumulated(self._linearised(theta), theta.size, self.n_residuals)
+        return accumulated(self._linearised(theta), theta.size, self.n_residuals)
 
     def _linearised(self, theta: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Residuals (k, n_out) and their slopes (k, n_out, P) of parts of the samples."""
@@ -396,6 +436,14 @@ class MultiStepError:
     def n_residuals(self) -> int:
         return int(np.count_nonzero(self._present))
 
+    @property
+    def samples(self) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+        """Outputs before the windows (L, m, n_y) and commands (L + steps, m, n_u).
+
+        Then what is compared with, (steps, m, n_y), and which of it counts, likewise.
+        """
+        return self._past, self._inputs, self._targets, self._present
+
     def simulated(self, theta: FloatArray) -> FloatArray:
         """Outputs of each window, (steps, m, n_y)."""
         return self._forward(theta)[self._first :]
@@ -427,7 +475,7 @@ class MultiStepError:
         return loss, result
 
     def normal_equations(self, theta: FloatArray) -> NormalEquations:
-        return _accumulated(self._linearised(theta), theta.size, self.n_residuals)
+        return accumulated(self._linearised(theta), theta.size, self.n_residuals)
 
     def _linearised(self, theta: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Residuals (m, n_y) and their slopes (m, n_y, P) of each step that counts."""

@@ -345,9 +345,10 @@ def write_fitted_model(
         document.setdefault("source", source)
     else:
         assert origin is not None
+        model = request.model if result.remodel is None else result.remodel(request.model)
         document = model_document(
             request.recordings[0].name,
-            request.model,
+            model,
             origin,
             values=result.values,
             deviations=deviations,
