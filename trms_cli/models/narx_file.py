@@ -8,6 +8,7 @@
     rig: newtonian                        # optional: option of configs/model that a run simulates
     limits: {u_v: 2.5, u_h: 2.5, alpha_v: 1.05, alpha_h: 2.8}
     structure: {outputs: [alpha_v, …], output_lags: [1, 2], sample_time: 0.02, …}
+                                          # or of a state space, with order in the place of lags
     network: {kind: mlp, regressor_mean: […], …, weights: {W1: [[…]], …}}
     training: {…}                         # optional: a record of the training, of any form
     effects: {…}                          # optional, as in every model file
@@ -25,7 +26,8 @@ their samples of before (k counts the model's own samples)::
 The state is y(k) under the outputs' own names, then the outputs and inputs that are remembered
 (``alpha_v_lag1`` is alpha_v one sample ago). The disturbances w are accelerations: a constant one
 moves the output of a network of second order as a constant torque moves the rig, whatever the
-sample time.
+sample time. A network with past residuals among its regressors runs with residuals of zero, for
+nothing is measured in a free run.
 
 The weights are constants of the model and no parameters: there is no prior on them and no meaning
 to one of them.
@@ -41,9 +43,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from trms_cli.core.errors import ModelError
 from trms_cli.models.black_box import (
-    ANGLE,
     BlackBox,
     BlackBoxFile,
     check_file,
@@ -52,16 +52,20 @@ from trms_cli.models.black_box import (
     mapping_of,
     remembered_signals,
 )
+from trms_cli.models.innovation_network import (
+    InnovationNetwork,
+    InnovationStructure,
+    check_fit,
+    push_scale,
+    structure_from_data,
+)
 from trms_cli.models.model import FloatArray, Model, Signal
 from trms_cli.models.network import NarxStructure, Network
 from trms_cli.models.parameters import read_named
-from trms_cli.models.rest import rest_equations
+from trms_cli.models.rest import settled_state
 
 #: Value of ``model`` in a network file.
 KIND = "narx"
-#: Newton steps to the rest, and the seconds of free run before them.
-_ITERATIONS, _SETTLING = 50, 60.0
-_AT_REST = 1e-10
 
 
 class Narx(BlackBox):
@@ -81,12 +85,12 @@ class Narx(BlackBox):
         name: str = "narx",
         limits: Mapping[str, float] | None = None,
     ) -> None:
-        _check_fit(structure, network)
+        check_fit(structure, network)
         self.structure, self.network = structure, network
         outputs = tuple(map(Signal, structure.outputs, structure.output_units))
         inputs = tuple(map(Signal, structure.inputs, structure.input_units))
         memory = [
-            *remembered_signals(outputs, structure.output_lags[-1] - 1),
+            *remembered_signals(outputs, structure.longest_output_lag - 1),
             *remembered_signals(inputs, structure.input_lags[-1] - 1),
         ]
         super().__init__(outputs, inputs, memory, structure.sample_time, name=name, limits=limits)
@@ -94,86 +98,29 @@ class Narx(BlackBox):
 
     def transition(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         n_y, n_u = self.n_y, self.n_u
-        kept_y = n_y * (self.structure.output_lags[-1] - 1)
+        kept_y = n_y * (self.structure.longest_output_lag - 1)
         # y(k), y(k − 1), … and u(k), u(k − 1), …: newest first, all signals of a sample together
         outputs = x[: n_y + kept_y, 0]
         inputs = ca.vertcat(u, x[n_y + kept_y :, 0])
         lagged = ca.vertcat(
             *(outputs[n_y * (lag - 1) : n_y * lag, 0] for lag in self.structure.output_lags),
             *(inputs[n_u * (lag - 1) : n_u * lag, 0] for lag in self.structure.input_lags),
+            ca.DM.zeros(self.structure.n_residuals, 1),
         )
         following = self.network.expression(ca.DM(self.structure.arrangement()) @ lagged)
         if self.structure.incremental:
             following += outputs[:n_y, 0]
-        following += ca.DM(self._push_scale()) * w
+        following += ca.DM(push_scale(self.outputs, self.structure.sample_time)) * w
         return ca.vertcat(following, outputs[:kept_y, 0], inputs[: inputs.shape[0] - n_u, 0])
 
     def rest(self) -> FloatArray:
         """Where the network settles without a command, as nearly as it does."""
         if self._rest is None:
-            self._rest = _settled(self)
+            start = np.zeros(self.n_x)
+            if self.structure.output_lags:
+                start[: self.n_y] = self.network.regressor_mean[: self.n_y]
+            self._rest = settled_state(self, start)
         return self._rest.copy()
-
-    def _push_scale(self) -> FloatArray:
-        """Change of each output in a step by a unit of its disturbance."""
-        T = self.structure.sample_time
-        return np.array([T**2 if y.unit == ANGLE else T for y in self.outputs])
-
-
-def _check_fit(structure: NarxStructure, network: Network) -> None:
-    for key, size, expected in (
-        ("regressor_mean", network.n_regressors, structure.n_regressors),
-        ("output_mean", network.n_outputs, len(structure.outputs)),
-    ):
-        if size != expected:
-            raise ModelError(
-                f"the network has {size} and the structure {expected}",
-                where=f"network.{key}",
-                remedy="structure and network belong together: take both from one training",
-            )
-
-
-def _settled(model: Narx) -> FloatArray:
-    """A fixed point without a command: a free run, then Newton's method from where it ended.
-
-    The run goes to a fixed point that is stable, where the network has several; an end that
-    Newton's method does not improve is kept as it is.
-    """
-    equations = rest_equations(model)
-    _, u, p, w = model.symbols()
-    s = ca.SX.sym("s", len(equations.unknowns))
-    residual = equations.residual(s, u, p, w)
-    newton = ca.Function("newton", [s, u, p, w], [residual, ca.jacobian(residual, s)])
-    lifted = ca.Function("lifted", [s, u], [equations.state(s, u)])
-    still = (np.zeros(model.n_u), model.parameters.values, np.zeros(model.n_w))
-
-    rows = list(equations.unknowns)
-    n_y = model.n_y
-    start = np.zeros(model.n_x)
-    start[:n_y] = model.network.regressor_mean[:n_y]
-    at = model.symbols()
-    step = ca.Function("free", list(at), [model.transition(*at)])
-    count = max(1, round(_SETTLING / model.sample_time))
-    arguments = (ca.repmat(ca.DM(value), 1, count) for value in still)
-    ends = np.array(step.mapaccum(count)(lifted(start[rows], still[0]), *arguments))[:, -1]
-    point = ends[rows] if np.isfinite(ends).all() else start[rows]
-    fixed = _newton(newton, point, still)
-    return np.array(lifted(fixed, still[0]))[:, 0]
-
-
-def _newton(
-    function: ca.Function, start: FloatArray, constant: tuple[FloatArray, ...]
-) -> FloatArray:
-    point = start.copy()
-    for _ in range(_ITERATIONS):
-        rate, slope = (np.array(value) for value in function(point, *constant))
-        move, *_ = np.linalg.lstsq(slope, -rate[:, 0], rcond=1e-10)
-        point = point + move
-        if not np.isfinite(point).all():
-            return start
-        if np.abs(move).max() < _AT_REST * (1.0 + np.abs(point).max()):
-            return point
-    return start
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -183,19 +130,21 @@ class NarxFile(BlackBoxFile):
     kind = KIND
     body = ("structure", "network")
 
-    structure: NarxStructure
+    structure: NarxStructure | InnovationStructure
     network: Network
 
-    def model(self) -> Narx:
+    def model(self) -> Narx | InnovationNetwork:
         """The model.
 
         Raises ModelError if structure, network and limits do not fit together.
         """
+        if isinstance(self.structure, InnovationStructure):
+            return InnovationNetwork(self.structure, self.network, limits=self.limits)
         return Narx(self.structure, self.network, name=KIND, limits=self.limits)
 
 
-def narx(*, network: str, rig: Model | None = None) -> Narx:
-    """The NARX model of a network.
+def narx(*, network: str, rig: Model | None = None) -> Narx | InnovationNetwork:
+    """The model of a network file.
 
     Raises ConfigurationError if there is no such network. Raises ModelError for a file that does
     not hold one; it names the file and the key.
@@ -208,7 +157,7 @@ def narx(*, network: str, rig: Model | None = None) -> Narx:
     return narx_of(content, network)
 
 
-def narx_of(content: NarxFile, path: str) -> Narx:
+def narx_of(content: NarxFile, path: str) -> Narx | InnovationNetwork:
     """The model of a network file, with complaints by the file's keys."""
     with complaints_by_file(path):
         return content.model()
@@ -225,7 +174,7 @@ def read_narx_file(name_or_path: str, where: str = "model.path") -> NarxFile:
     label = name_or_path
     check_file(data, label, NarxFile, "network")
     return NarxFile(
-        structure=NarxStructure.from_data(data["structure"], f"{label}: structure"),
+        structure=structure_from_data(data["structure"], f"{label}: structure"),
         network=Network.from_data(data["network"], f"{label}: network"),
         **common_entries(data, label),
     )

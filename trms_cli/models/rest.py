@@ -24,6 +24,8 @@ from trms_cli.models.state_kinds import kinds_of_states
 #: s; the fixed point of the input path's memory is that of any step.
 _STEP = 0.02
 _ITERATIONS = 50
+#: s, free run of a black box before Newton's steps to its rest; and where those end.
+_SETTLING, _AT_REST = 60.0, 1e-10
 #: An axis whose angle is measured rests there, held by whatever holds it: its balance of torques
 #: says nothing then, but settles what nothing else does.
 _FAINT = 1e-6
@@ -64,6 +66,48 @@ def _rest_equations(model: Model) -> RestEquations:
         ca.Function("state", [s, u], [lifted]),
         ca.Function("residual", [s, u, p, w], [change / model.sample_time]),
     )
+
+
+def settled_state(model: Model, start: FloatArray) -> FloatArray:
+    """A fixed point of a model that steps, without a command, (n_x,).
+
+    A free run from ``start``, then Newton's method from where it ended. The run goes to a fixed
+    point that is stable, where the model has several; an end that Newton's method does not improve
+    is kept as it is.
+    """
+    assert model.sample_time is not None
+    equations = rest_equations(model)
+    _, u, p, w = model.symbols()
+    s = ca.SX.sym("s", len(equations.unknowns))
+    residual = equations.residual(s, u, p, w)
+    newton = ca.Function("newton", [s, u, p, w], [residual, ca.jacobian(residual, s)])
+    lifted = ca.Function("lifted", [s, u], [equations.state(s, u)])
+    still = (np.zeros(model.n_u), model.parameters.values, np.zeros(model.n_w))
+
+    rows = list(equations.unknowns)
+    at = model.symbols()
+    step = ca.Function("free", list(at), [model.transition(*at)])
+    count = max(1, round(_SETTLING / model.sample_time))
+    arguments = (ca.repmat(ca.DM(value), 1, count) for value in still)
+    ends = np.array(step.mapaccum(count)(lifted(start[rows], still[0]), *arguments))[:, -1]
+    point = ends[rows] if np.isfinite(ends).all() else start[rows]
+    fixed = _newton(newton, point, still)
+    return np.array(lifted(fixed, still[0]))[:, 0]
+
+
+def _newton(
+    function: ca.Function, start: FloatArray, constant: tuple[FloatArray, ...]
+) -> FloatArray:
+    point = start.copy()
+    for _ in range(_ITERATIONS):
+        rate, slope = (np.array(value) for value in function(point, *constant))
+        move, *_ = np.linalg.lstsq(slope, -rate[:, 0], rcond=1e-10)
+        point = point + move
+        if not np.isfinite(point).all():
+            return start
+        if np.abs(move).max() < _AT_REST * (1.0 + np.abs(point).max()):
+            return point
+    return start
 
 
 def static_motor_command(model: Model, u: ca.SX, p: ca.SX) -> ca.SX:

@@ -221,7 +221,7 @@ class GeneticStructure:
             costs = polynomials.errors(theta)
             costs *= 1.0 + self.term_price * present.sum(axis=(1, 2))
             if self.degree == 1:
-                radii = [spectral_radius(data.structure, data, t) for t in theta]
+                radii = [spectral_radius(data.lags, data, t) for t in theta]
                 costs[np.array(radii) >= 1.0] = np.inf
             return costs
 
@@ -318,7 +318,7 @@ class GeneticStructure:
         theta: FloatArray,
         result: SearchResult,
     ) -> dict[str, Any]:
-        structure = data.structure
+        structure = data.lags
         names = regressor_words(structure)
         terms: dict[str, Mapping[str, float]] = {}
         for i, output in enumerate(structure.outputs):
@@ -372,7 +372,7 @@ def linear_model(
 
     ``theta``: (n_y, n_terms) array.
     """
-    structure, first = data.structure, problem.datasets[0]
+    structure, first = data.lags, problem.datasets[0]
     F, G, constant = difference_equation(structure, data, theta[:, : structure.n_regressors + 1])
     u = np.vstack([samples.inputs for samples in data.fitted])
     y = np.vstack([samples.outputs for samples in data.fitted])

@@ -1,4 +1,4 @@
-"""NNARX and NNOE: perceptrons trained on one-step errors, and on simulations.
+"""NNARX, NNFIR and NNOE: perceptrons trained on one-step errors, and on simulations.
 
 Source: M. Nørgaard, O. Ravn, N. K. Poulsen & L. K. Hansen (2000), "Neural Networks for Modelling
 and Control of Dynamic Systems", chapters 2 and 3.
@@ -13,6 +13,7 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.identification.blackbox.network_fit import (
+    NetworkData,
     Regressors,
     Stage,
     fit_result,
@@ -29,12 +30,32 @@ from trms_cli.identification.blackbox.training.training import (
     train,
 )
 from trms_cli.identification.problem import FitProblem, FitResult, Progress
+from trms_cli.models.network import Activation
 
 Units = Annotated[int, Meta(ge=1, le=1000)]
 
 
-def _random_start(network: Mlp, seed: int) -> FloatArray:
+def random_start(network: Mlp, seed: int) -> FloatArray:
+    """First weights of a seed, (P,); of a method with several starts, one seed a start."""
     return network.start(np.random.default_rng(np.random.SeedSequence([seed, 0x4E415258])))
+
+
+def perceptron(
+    data: NetworkData, hidden: tuple[int, ...], direct: bool, activation: Activation
+) -> Mlp:
+    """A perceptron of as many regressors and outputs as the data have."""
+    structure = data.structure
+    return Mlp(structure.n_regressors, structure.n_predicted, hidden, direct, activation)
+
+
+def require_past_outputs(regressors: Regressors) -> None:
+    """Raises ConfigurationError for a network without past outputs."""
+    if not regressors.output_lags:
+        raise ConfigurationError(
+            "no past output",
+            where="method.regressors.output_lags",
+            remedy="for instance [1, 2]; method=nnfir has past commands alone",
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,24 +65,26 @@ class NarxFit:
     training: TrainingAlgorithm
     regressors: Regressors = field(default_factory=Regressors)
     hidden: tuple[Units, ...] = (10,)  #: Units of each hidden layer
+    activation: Activation = "tanh"  #: Of the hidden units
     direct: bool = False  #: A linear part from the regressor straight to the output
     #: Random starts; the one of the smallest validation error (without validation: error) is kept
     starts: Annotated[int, Meta(ge=1)] = 1
     stopping: Stopping = field(default_factory=Stopping)
 
     fits_parameters: ClassVar[bool] = False
+    name: ClassVar[str] = "narx"  #: Of the method
 
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem; see :class:`trms_cli.identification.problem.Method`."""
+        self._check()
         data = prepare_fit(self.regressors, problem, self.training)
-        structure = data.structure
-        network = Mlp(structure.n_regressors, len(structure.outputs), self.hidden, self.direct)
+        network = perceptron(data, self.hidden, self.direct, self.activation)
         best: Training | None = None
         for start in range(self.starts):
             name = "one step" if self.starts == 1 else f"start {start + 1} of {self.starts}"
             share = 1.0 / self.starts
             watcher = training_watcher(progress, start * share, share, self.stopping, name)
-            theta = _random_start(network, problem.seed + start)
+            theta = random_start(network, problem.seed + start)
             candidate = data.train_one_step(network, self.training, theta, self.stopping, watcher)
             if best is None or _merit(candidate) < _merit(best):
                 best = candidate
@@ -69,7 +92,32 @@ class NarxFit:
                 best = replace(best, outcome=candidate.outcome)
                 break
         assert best is not None
-        return fit_result("narx", problem, data, network, [Stage("one step", best)])
+        return fit_result(self.name, problem, data, network, [Stage("one step", best)])
+
+    def _check(self) -> None:
+        require_past_outputs(self.regressors)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NnfirFit(NarxFit):
+    """NNFIR: a perceptron that predicts from past commands alone.
+
+    What it predicts from is never wrong and it cannot diverge; its memory is as long as its lags.
+    """
+
+    name: ClassVar[str] = "nnfir"
+
+    def _check(self) -> None:
+        for key, given, wanted in (
+            ("output_lags", list(self.regressors.output_lags), []),
+            ("incremental", self.regressors.incremental, False),
+        ):
+            if given != wanted:
+                raise ConfigurationError(
+                    f"{str(given).lower()} given, and NNFIR has past commands alone",
+                    where=f"method.regressors.{key}",
+                    remedy=f"{key}={str(wanted).lower()}; method=narx has past outputs",
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +127,7 @@ class NnoeFit:
     training: TrainingAlgorithm
     regressors: Regressors = field(default_factory=Regressors)
     hidden: tuple[Units, ...] = (10,)  #: As :class:`NarxFit`
+    activation: Activation = "tanh"  #: As :class:`NarxFit`
     direct: bool = True  #: As :class:`NarxFit`
     #: s, lengths of the windows, one training each; each begins with the weights of the last
     horizons: tuple[Annotated[float, Meta(gt=0)], ...] = (0.5, 2.0)
@@ -98,13 +147,14 @@ class NnoeFit:
             raise ConfigurationError(
                 "no horizon is given", where="method.horizons", remedy="for instance [0.5, 2.0]"
             )
+        require_past_outputs(self.regressors)
         data = prepare_fit(self.regressors, problem, self.training)
         structure = data.structure
-        network = Mlp(structure.n_regressors, len(structure.outputs), self.hidden, self.direct)
+        network = perceptron(data, self.hidden, self.direct, self.activation)
         share = 1.0 / (1 + len(self.horizons))
         first = Stopping(epochs=self.first_epochs, patience=0)
         watcher = training_watcher(progress, 0.0, share, first, "one step")
-        theta = _random_start(network, problem.seed)
+        theta = random_start(network, problem.seed)
         result = data.train_one_step(
             network, LevenbergMarquardt(), theta, first, watcher, self.every
         )

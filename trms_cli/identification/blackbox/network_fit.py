@@ -115,6 +115,12 @@ class NetworkData:
     #: the same objects where no smoothing is asked for
     validation_smooth: list[Samples] = field(repr=False)
 
+    @property
+    def lags(self) -> NarxStructure:
+        """The structure, of a method whose networks predict from lagged samples."""
+        assert isinstance(self.structure, NarxStructure)
+        return self.structure
+
     def normalised(self, recordings: Sequence[Samples]) -> tuple[FloatArray, FloatArray]:
         """Regressors (n, n_phi) and targets (n, n_y) in units of the scales."""
         pairs = [rows(self.structure, samples) for samples in recordings]
@@ -163,10 +169,9 @@ class NetworkData:
         every: int = 1,
     ) -> MultiStepError:
         """The simulation error over windows; they start from smoothed samples."""
-        assert isinstance(self.structure, NarxStructure)
         return MultiStepError(
             network,
-            self.structure,
+            self.lags,
             self.scaling,
             getattr(self, part),
             steps,

@@ -5,6 +5,7 @@ What a trained network computes is stated by :class:`trms_cli.models.network.Net
 holds the two together.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -13,7 +14,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.models.network import Kind
+from trms_cli.models.network import Activation, Kind, activated
 
 
 class TrainableNetwork(Protocol):
@@ -43,14 +44,24 @@ class TrainableNetwork(Protocol):
         """The weights by the names that a stored network has."""
 
 
+#: Slope of each activation by what the unit gives, a.
+_ACTIVATION_SLOPES: dict[Activation, Callable[[FloatArray], FloatArray]] = {
+    "tanh": lambda a: 1.0 - a**2,
+    "logistic": lambda a: a * (1.0 - a),
+    "softplus": lambda a: -np.expm1(-a),
+    "linear": np.ones_like,
+}
+
+
 @dataclass(frozen=True)
 class Mlp:
-    """Perceptron with tanh hidden layers and a linear output layer."""
+    """Perceptron with hidden layers of one activation and a linear output layer."""
 
     n_regressors: int
     n_outputs: int
     hidden: tuple[int, ...]  #: Units of each hidden layer
     direct: bool = False  #: A direct linear part from the regressor to the output
+    activation: Activation = "tanh"  #: Of the hidden layers
 
     kind: ClassVar[Kind] = "mlp"
 
@@ -76,13 +87,15 @@ class Mlp:
         """Random weights after Nguyen & Widrow (1990), (P,).
 
         Each hidden unit's active region is spread over the box |z| ≤ 2; the output layer starts
-        small, the direct part at zero.
+        small, the direct part at zero. A logistic unit is a tanh of half its sum, so its weights
+        are twice as large.
         """
+        steep = 2.0 if self.activation == "logistic" else 1.0
         theta = np.zeros(self.n_parameters)
         sizes = (self.n_regressors, *self.hidden)
         w = self.weights(theta)  # views
         for layer, (before, after) in enumerate(pairwise(sizes), start=1):
-            reach = 0.7 * after ** (1.0 / before)
+            reach = 0.7 * steep * after ** (1.0 / before)
             weights = generator.uniform(-1.0, 1.0, (after, before))
             weights *= reach / np.linalg.norm(weights, axis=1, keepdims=True)
             w[f"W{layer}"][...] = weights / (2.0 if layer == 1 else 1.0)
@@ -109,7 +122,7 @@ class Mlp:
             jacobian[:, o, self._layout[f"b{last}"][0].start + o] = 1.0
         back = np.broadcast_to(w[f"W{last}"], (n, *w[f"W{last}"].shape))
         for layer in range(last - 1, 0, -1):
-            back = back * (1.0 - active[layer] ** 2)[:, None, :]
+            back = back * _ACTIVATION_SLOPES[self.activation](active[layer])[:, None, :]
             outer = back[:, :, :, None] * active[layer - 1][:, None, None, :]
             jacobian[:, :, self._layout[f"W{layer}"][0]] = outer.reshape(n, n_out, -1)
             jacobian[:, :, self._layout[f"b{layer}"][0]] = back
@@ -134,7 +147,7 @@ class Mlp:
             slope[f"b{layer}"][...] = back.sum(axis=0)
             back = back @ w[f"W{layer}"]
             if layer > 1:
-                back = back * (1.0 - active[layer - 1] ** 2)
+                back = back * _ACTIVATION_SLOPES[self.activation](active[layer - 1])
         if self.direct:
             slope["A"][...] = weight.T @ z
             back = back + weight @ w["A"]
@@ -143,7 +156,8 @@ class Mlp:
     def _activations(self, w: dict[str, FloatArray], z: FloatArray) -> list[FloatArray]:
         active = [z]
         for layer in range(1, len(self.hidden) + 1):
-            active.append(np.tanh(active[-1] @ w[f"W{layer}"].T + w[f"b{layer}"]))
+            sums = active[-1] @ w[f"W{layer}"].T + w[f"b{layer}"]
+            active.append(activated(self.activation, sums))
         return active
 
     def _output(
