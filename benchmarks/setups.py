@@ -18,6 +18,18 @@ SQUARES = {
 #: The true state, without noise and quanta.
 FULL_STATE = ("observer=full_state", "plant=ideal")
 
+#: ``newton_mpc`` iterated as far as a peer that is converged: a tenth of its own default tolerance.
+CONVERGED: dict[str, Any] = {"max_iterations": 50, "tolerance": 1e-4}
+
+
+def iterations_of(count: int | None) -> tuple[str, ...]:
+    """Overrides for a most of Newton iterations: None for the default, 50 for CONVERGED."""
+    if count is None:
+        return ()
+    if count == CONVERGED["max_iterations"]:
+        return tuple(f"controller.{key}={value}" for key, value in CONVERGED.items())
+    return (f"controller.max_iterations={count}",)
+
 
 def experiment(*overrides: str) -> Experiment:
     """What ``trms run`` would run with these overrides."""

@@ -16,7 +16,7 @@ from benchmarks.lockstep import WARM_UP, Entrant, quantiles, race
 from benchmarks.options import Options
 from benchmarks.peers import acados_peer
 from benchmarks.peers.acados_peer import FULL_CONDENSING, PARTIAL_CONDENSING, Acados
-from benchmarks.setups import FULL_STATE, experiment, newton_horizon, newton_of
+from benchmarks.setups import CONVERGED, FULL_STATE, experiment, newton_horizon, newton_of
 from trms_cli.controllers.controller import Controller, ControlSample, ControlSetup
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.core.arrays import FloatArray
@@ -94,7 +94,7 @@ def _race(
     remarks = {name: _trial(loop_setup, peer) for name, peer in peers.items()}
     runnable = {name: peer for name, peer in peers.items() if not remarks[name]}
     controllers: dict[str, Controller] = {
-        _NEWTON: replace(problem, max_iterations=iterations),
+        _NEWTON: replace(problem, max_iterations=iterations, tolerance=CONVERGED["tolerance"]),
         **runnable,
     }
     newton, *others = race(loop_setup, controllers)

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.document import LIMIT, Column, Table, Value
 from benchmarks.lockstep import WARM_UP, quantiles
 from benchmarks.options import Options
-from benchmarks.setups import experiment, newton_horizon, newton_of
+from benchmarks.setups import experiment, iterations_of, newton_horizon, newton_of
 from trms_cli.code_generation.export import example_rows, export
 from trms_cli.code_generation.measure import FLAGS, PASSES, ExampleMeasurement, measure
 from trms_cli.controllers.controller import ControlSample, ControlSetup
@@ -166,7 +166,7 @@ def _times(options: Options, program: str | None) -> Table:
             "controller=newton_mpc",
             "ref=square",
             *horizon,
-            *([f"controller.max_iterations={iterations}"] if iterations else []),
+            *iterations_of(iterations),
             f"sim.duration={options.duration(80.0)}",
         )
         example = _Example(loop_setup)

@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.document import LIMIT, Column, Table, Value
 from benchmarks.lockstep import Entrant, quantiles, race
 from benchmarks.options import Options
-from benchmarks.setups import FULL_STATE, experiment, newton_horizon
+from benchmarks.setups import FULL_STATE, experiment, iterations_of, newton_horizon
 
 TITLE = "newton_mpc: time of a sample"
 #: µs, medians.
@@ -73,7 +73,7 @@ def _timed(options: Options, horizon: tuple[str, ...], iterations: int | None) -
         "ref=square",
         *FULL_STATE,
         *horizon,
-        *([f"controller.max_iterations={iterations}"] if iterations else []),
+        *iterations_of(iterations),
         f"sim.duration={options.duration(80.0)}",
     )
     return race(loop_setup, {"newton_mpc": loop_setup.controller})[0]

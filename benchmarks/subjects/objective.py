@@ -7,7 +7,7 @@ from dataclasses import replace
 from benchmarks.document import LIMIT, Column, Table
 from benchmarks.lockstep import race
 from benchmarks.options import Options
-from benchmarks.setups import FULL_STATE, experiment, newton_horizon, newton_of
+from benchmarks.setups import CONVERGED, FULL_STATE, experiment, newton_horizon, newton_of
 from trms_cli.controllers.nmpc import Nmpc
 
 TITLE = "closed-loop objective of newton_mpc beside IPOPT, both converged"
@@ -47,7 +47,7 @@ def run(options: Options) -> list[Table]:
                 loop_setup,
                 {
                     "ipopt": Nmpc.of(problem, solver="ipopt", second_start="always"),
-                    "newton": replace(problem, max_iterations=50),
+                    "newton": replace(problem, **CONVERGED),
                     "one_iteration": replace(problem, max_iterations=1),
                 },
             )

@@ -13,7 +13,7 @@ from dataclasses import replace
 from benchmarks.document import LIMIT, Column, Table
 from benchmarks.lockstep import quantiles, race
 from benchmarks.options import Options
-from benchmarks.setups import FULL_STATE, experiment, newton_horizon, newton_of
+from benchmarks.setups import CONVERGED, FULL_STATE, experiment, newton_horizon, newton_of
 from trms_cli.controllers.controller import Controller
 from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.nmpc import Nmpc
@@ -115,7 +115,7 @@ def _peers(options: Options) -> Table:
     )
     problem = newton_of(loop_setup)
     controllers: dict[str, Controller] = {
-        "newton_mpc, converged": replace(problem, max_iterations=50),
+        "newton_mpc, converged": replace(problem, **CONVERGED),
         "newton_mpc, one iteration": replace(problem, max_iterations=1),
     }
     missing: dict[str, str] = {}

@@ -62,7 +62,7 @@ class NewtonMpc(HorizonSettings):
     #: Newton iterations a sample; 1 is the real-time iteration
     max_iterations: Annotated[int, Meta(ge=1)] = 10
     #: V; converged when no input moves more than this, or is expected to by a tenth of it
-    tolerance: Positive = 1e-4
+    tolerance: Positive = 1e-3
     #: What acts when a solve fails: the last plan shifted in time, the last command, the
     #: steady-state input of the reference, or the end of the run
     fallback: Policy = "shifted_plan"
