@@ -60,6 +60,7 @@ def _show(study: Study, results: Results, folder: Path, *, page: bool) -> None:
     from experiments import block_diagrams
     from experiments.chapter6 import figures
     from experiments.chapter6 import page as pages
+    from experiments.chapter6.settings import settings_table
     from experiments.page_tables import write_alone, write_tables
     from trms_cli.controllers.newton_mpc import NewtonMpc
 
@@ -73,6 +74,7 @@ def _show(study: Study, results: Results, folder: Path, *, page: bool) -> None:
     figures.draw_shares(study.domain, results.box, results.arrivals, folder / "horizon.png")
     figures.draw_iterations(results.economy, folder / "iterations.png")
     tables = {
+        "settings": settings_table(study.cases),
         **pages.case_tables(study.cases.runs, results.runs),
         "decrease": pages.decrease_table(results.claims),
         **pages.domain_tables(study.domain, results.box, results.slices, results.arrivals),

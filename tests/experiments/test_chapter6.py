@@ -12,6 +12,7 @@ from experiments.chapter6.domain import study_box, study_slice
 from experiments.chapter6.iterations import square_wave
 from experiments.chapter6.results import compute, figures_of
 from experiments.chapter6.rig import MODEL, Loop, state_at
+from experiments.chapter6.settings import settings_table
 from experiments.chapter6.study import Mode, read_study
 from experiments.expected_figures import differences
 from trms_cli.models.discretisation import discretise
@@ -142,3 +143,12 @@ class TestPage:
             best = costs[f"default/{reference}/40"]
             for iterations in (1, 2, 3):
                 assert abs(costs[f"default/{reference}/{iterations}"] / best - 1.0) < 1.5e-4
+
+    def test_the_settings_are_those_of_the_configuration(self):
+        """Table 6.1: made of the configuration anew, it is what the page shows."""
+        table = settings_table(read_study().cases)
+        text = PAGE.read_text(encoding="utf-8")
+        assert f"<!-- settings: begin -->\n{table}\n<!-- settings: end -->" in text
+        assert "| `controller.prediction_horizon` | 40 | control periods |" in table
+        assert "| `controller.preview_horizon` | 0; preview: 20 |" in table
+        assert "quasi_infinite (in a region around it), none" in table  # a comment of more lines
