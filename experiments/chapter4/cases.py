@@ -33,7 +33,7 @@ class Study:
 
     cases: list[Case]
     methods: dict[str, tuple[str, ...]]  #: Overrides by name, for white against grey
-    compared: list[Case]
+    compared: list[Case]  #: Some of the cases, and, of the whole study, rigs of one axis
     comparison: dict[str, tuple[str, ...]]  #: Methods that are compared on them
     seeds: tuple[int, ...]
 
@@ -46,17 +46,21 @@ def read_study(only: str = "*", quick: bool = False, file: Path = CASES) -> Stud
     content = yaml.safe_load(file.read_text(encoding="utf-8"))
     every = content["every"]
     short = ["sim.duration=20"] if quick else []
-    cases = [
-        Case(
+
+    def case_of(number: int, node: dict[str, Any]) -> Case:
+        return Case(
             number,
             str(node["name"]),
             _words(every["rig"], node["rig"], every["fit"], node["fit"], short),
             _words(every["rig"], node["rig"], every["held_out"], node["held_out"], short),
-            _words(every["identify"], node["identify"]),
+            _words(every["identify"], node.get("identify", ())),
         )
-        for number, node in enumerate(content["cases"], start=1)
-    ]
-    matches = [c for c in cases if fnmatch(c.name, only) or fnmatch(str(c.number), only)]
+
+    def is_chosen(case: Case) -> bool:
+        return fnmatch(case.name, only) or fnmatch(str(case.number), only)
+
+    cases = [case_of(number, node) for number, node in enumerate(content["cases"], start=1)]
+    matches = [case for case in cases if is_chosen(case)]
     if not matches:
         raise ConfigurationError(
             f"no case is called {only!r}",
@@ -64,10 +68,15 @@ def read_study(only: str = "*", quick: bool = False, file: Path = CASES) -> Stud
             remedy="a number or a pattern: " + ", ".join(f"{c.number} ({c.name})" for c in cases),
         )
     comparison = content["comparison"]
+    further = [
+        case_of(number, node)
+        for number, node in enumerate(comparison["cases"], start=len(cases) + 1)
+    ]
     return Study(
         matches,
         _methods(content["methods"], quick),
-        [case for case in matches if case.number in comparison["cases"]],
+        [case for case in further if only == "*"]
+        + [case for case in matches if case.number in comparison["numbers"]],
         _methods(comparison["methods"], quick),
         tuple(comparison["seeds"][: 1 if quick else None]),
     )

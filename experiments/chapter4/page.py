@@ -54,11 +54,11 @@ def publish(findings: Findings, page: Path = PAGE, figures: Path = FIGURES) -> N
 
     Raises ConfigurationError if the page has no marks for a table.
     """
-    blocks = {name: markdown(rows) for name, rows in tables(findings).items()}
-    fits = [f for o in (*findings.cases, *findings.compared) for f in o.fits]
+    blocks = {name: markdown(rows) for name, rows in tables(findings).items() if len(rows) > 1}
+    fits = [f for o in findings.cases for f in o.fits]
     blocks["time"] = (
-        f"The {len(fits)} fits of the study took {sum(f.seconds for f in fits):.0f} s of processor "
-        "time together; two processes share them."
+        f"The {len(fits)} fits of white against grey took {sum(f.seconds for f in fits):.0f} s of "
+        "processor time together, a thread each."
     )
     figures.mkdir(parents=True, exist_ok=True)
     draw(findings, figures)
@@ -106,10 +106,9 @@ def draw(findings: Findings, folder: Path) -> None:
     with house_style():
         if findings.cases:
             save_png(_bars(findings.cases), folder / "white_against_grey.png")
+            save_png(_overview(findings.cases), folder / "cases.png")
             for outcome in findings.cases:
-                if outcome.case.number in (1, 9, 11):
-                    path = folder / f"case_{outcome.case.number}.png"
-                    save_png(_traces(outcome), path)
+                save_png(_traces(outcome), folder / f"case_{outcome.case.number}.png")
         if findings.compared:
             save_png(_searches(findings.compared), folder / "comparison.png")
 
@@ -223,25 +222,69 @@ def _bars(outcomes: Sequence[CaseOutcome]) -> Any:
     return figure
 
 
+def _overview(outcomes: Sequence[CaseOutcome]) -> Any:
+    """Held out, a row a case: both angles measured, white and grey."""
+    from trms_cli.reporting.style import new_figure
+
+    figure = new_figure(9.5, 0.8 + 1.15 * len(outcomes))
+    panels = figure.subplots(len(outcomes), len(_ANGLES), sharex="col", squeeze=False)
+    for row, outcome in zip(panels, outcomes, strict=True):
+        for panel, name in zip(row, _ANGLES, strict=True):
+            if name not in outcome.white:
+                panel.set_axis_off()
+                continue
+            _draw_angle(panel, outcome, name)
+        row[0].set_title(f"{outcome.case.number}: {outcome.case.name}", fontsize=8, pad=2)
+    for panel, label in zip(panels[0], _ANGLES.values(), strict=True):
+        panel.set_title(f"{label} [rad]", loc="right", fontsize=8, pad=2)
+    for panel in panels[-1]:
+        panel.set_xlabel("time [s]")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
+    return figure
+
+
 def _traces(outcome: CaseOutcome) -> Any:
-    """Angles of the held-out recording, measured and simulated."""
-    from trms_cli.reporting.style import COLOURS, GREY, MEASURED, legend_above, new_figure
+    """Held out: the angles measured and simulated, and beneath each the model's error."""
+    from trms_cli.reporting.style import COLOURS, GREY, INK, new_figure
 
     angles = [name for name in _ANGLES if name in outcome.white]
-    figure = new_figure(9.5, 0.6 + 2.0 * len(angles))
-    panels = figure.subplots(len(angles), 1, sharex=True, squeeze=False)[:, 0]
+    figure = new_figure(9.5, 0.9 + 2.3 * len(angles))
+    panels = figure.subplots(
+        2 * len(angles), 1, sharex=True, height_ratios=[1.7, 1.0] * len(angles)
+    )
     time = outcome.measured["time"]
-    for panel, name in zip(panels, angles, strict=True):
-        panel.plot(time, outcome.measured[name], color=MEASURED, lw=2.4, label="measured")
-        panel.plot(time, outcome.white_trace[name], color=GREY, lw=0.9, ls="--", label="white")
-        for i, fit in enumerate(outcome.fits):
-            label = f"grey, {_METHODS[fit.method]}"
-            panel.plot(time, fit.trace[name], color=COLOURS[i], lw=0.9, label=label)
-        panel.set_ylabel(f"{_ANGLES[name]} [rad]")
-    legend_above(panels[0])
+    for (upper, lower), name in zip(panels.reshape(-1, 2), angles, strict=True):
+        _draw_angle(upper, outcome, name)
+        upper.set_ylabel(f"{_ANGLES[name]} [rad]")
+        errors = [(GREY, outcome.white_trace[name])]
+        for colour, fit in zip(COLOURS, outcome.fits, strict=False):
+            errors.append((colour, fit.trace[name]))
+        for colour, simulated in errors:
+            size = np.maximum(1e3 * np.abs(simulated - outcome.measured[name]), 0.1)
+            lower.plot(time, size, color=colour, lw=0.8)
+        lower.axhline(0.77, color=INK, lw=0.6, ls=":")  # half a step of the encoders
+        lower.set_yscale("log")
+        lower.set_yticks([1.0, 10.0, 100.0], ["1", "10", "100"])
+        lower.set_ylabel("|error| [mrad]")
     panels[-1].set_xlabel("time [s]")
+    figure.align_ylabels(panels)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower left", ncols=len(labels))
     figure.suptitle(f"{outcome.case.number}: {outcome.case.name}", x=0.01, ha="left", fontsize=10)
     return figure
+
+
+def _draw_angle(panel: Any, outcome: CaseOutcome, name: str) -> None:
+    from trms_cli.reporting.style import COLOURS, GREY, MEASURED
+
+    time = outcome.measured["time"]
+    panel.plot(time, outcome.measured[name], color=MEASURED, lw=2.4, label="measured")
+    panel.plot(time, outcome.white_trace[name], color=GREY, lw=0.9, ls="--", label="white")
+    for colour, fit in zip(COLOURS, outcome.fits, strict=False):
+        label = f"grey, {_METHODS[fit.method]}"
+        panel.plot(time, fit.trace[name], color=colour, lw=0.9, label=label)
+    panel.set_xlim(0.0, time[-1])
 
 
 def _searches(outcomes: Sequence[CaseOutcome]) -> Any:
