@@ -23,6 +23,7 @@ from experiments.provenance import (
     record_publication,
     write_ledger,
 )
+from trms_cli.cli import COMMANDS
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.library.tasks.git_revision import known_revision
 
@@ -90,6 +91,27 @@ def test_the_command_of_a_source_is_there_and_so_is_what_it_makes(name, keys):
             assert made_by("one", {"one": one}, keys), f"{name}: no picture {pattern}"
     for pattern in source.timed:
         assert made_by("one", {"one": Source("", {}, [pattern])}, made_by(name, SOURCES, keys))
+
+
+def test_every_command_of_the_thesis_page_is_there():
+    """Its links are followed with those of all pages; a row is whole, or says what is missing."""
+    text = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")
+    assert [f"Chapter {i}" in text for i in range(1, 10)] == [True] * 9
+    rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")]
+    rows = [row for row in rows if row[0] != "| row"]
+    assert len(rows) > 50
+    for _, typed, _, status in rows:
+        assert status.startswith(("whole", "partly: ")), status
+        for command in re.findall(r"`([^`]+)`", typed):
+            words = shlex.split(command)
+            if words[0] == "make":
+                assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+            elif words[0] == "python":
+                assert importlib.util.find_spec(words[2]) is not None
+            else:
+                assert words[:1] == ["trms"] and words[1] in COMMANDS
+                groups = [word.split("=") for word in words[2:] if "." not in word.split("=")[0]]
+                assert all((ROOT / "configs" / g / f"{o}.yaml").is_file() for g, o in groups)
 
 
 def test_what_ci_makes_anew_takes_less_than_a_minute():
