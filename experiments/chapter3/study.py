@@ -10,7 +10,6 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from time import perf_counter
 
 from experiments.chapter3.methods import method
 from experiments.chapter3.structure_selection import AssessedCandidate, Candidate
@@ -36,9 +35,9 @@ class Study:
 
     tables: dict[str, list[TrainingResult]]  #: The trainings of each system
     members: dict[str, list[TrainingResult]]  #: The members of each system
+    activations: dict[str, list[TrainingResult]]  #: Of the hidden units, for each system
     excitations: list[TrainingResult]  #: The same network fitted to two kinds of commands
     structures: list[AssessedCandidate]
-    seconds: dict[str, float]  #: Wall time of each part
 
 
 def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None) -> Study:
@@ -46,27 +45,27 @@ def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None)
 
     ``jobs``: processes. ``seeds``: in place of the settings'.
     """
-    seconds: dict[str, float] = {}
     with _pool(jobs) as run:
 
-        def timed(name: str, work: Sequence[Job]) -> list[TrainingResult]:
-            begin = perf_counter()
-            results = list(
-                _show_progress(name, run(partial(run_job, short=short), work), len(work))
-            )
-            seconds[name] = perf_counter() - begin
-            return results
+        def trained(name: str, work: Sequence[Job]) -> list[TrainingResult]:
+            return list(_show_progress(name, run(partial(run_job, short=short), work), len(work)))
 
         tables = {
-            name: timed(name, _table_jobs(name, seeds or own.get("seeds", settings()["seeds"])))
+            name: trained(name, _table_jobs(name, seeds or own.get("seeds", settings()["seeds"])))
             for name, own in settings()["systems"].items()
         }
         members = {
-            name: timed(f"{name} members", _member_jobs(name, seeds or settings()["member_seeds"]))
+            name: trained(
+                f"{name} members", _member_jobs(name, seeds or settings()["member_seeds"])
+            )
             for name in settings()["systems"]
         }
-        excitations = timed("excitations", _excitation_jobs(seeds))
-        begin, own = perf_counter(), settings()["structure"]
+        activations = {
+            name: trained(f"{name} activations", _activation_jobs(name, seeds))
+            for name in settings()["systems"]
+        }
+        excitations = trained("excitations", _excitation_jobs(seeds))
+        own = settings()["structure"]
         candidates = [Candidate(lags, hidden) for lags in own["lags"] for hidden in own["hidden"]]
         start_seeds = list(seeds or own["seeds"])
         structures = list(
@@ -76,8 +75,7 @@ def run_study(jobs: int, short: float = 1.0, seeds: Sequence[int] | None = None)
                 len(candidates),
             )
         )
-        seconds["structure"] = perf_counter() - begin
-    return Study(tables, members, excitations, structures, seconds)
+    return Study(tables, members, activations, excitations, structures)
 
 
 def _table_jobs(system: str, seeds: Sequence[int]) -> list[Job]:
@@ -93,6 +91,15 @@ def _member_jobs(system: str, seeds: Sequence[int]) -> list[Job]:
         for name, member in settings()["members"].items()
         if system in member.get("systems", ONE_AXIS)
         for seed in seeds
+    ]
+
+
+def _activation_jobs(system: str, seeds: Sequence[int] | None) -> list[Job]:
+    own = settings()["activations"]
+    return [
+        Job(system, activation, "narx", "lm", seed, {"activation": activation})
+        for activation in own["of"]
+        for seed in seeds or own["seeds"]
     ]
 
 

@@ -17,8 +17,11 @@ _NAMES = {"alpha_v": "pitch", "alpha_h": "yaw"}
 TITLES = {"horizontal": "1 DOF horizontal", "vertical": "1 DOF vertical", "both": "2 DOF"}
 #: What the members of the study are called.
 MEMBERS = {
+    "nnfir": "NNFIR, a perceptron of 5 s of commands alone",
     "nnarx": "NNARX, perceptron on one-step errors",
-    "nnoe": "NNOE, the same perceptron on simulations",
+    "nnarmax": "NNARMAX, with past residuals",
+    "nnssif": "NNSSIF, state space in innovations form",
+    "nnoe": "NNOE, the perceptron of NNARX on simulations",
     "rbf_kmeans": "RBF, k-means, linear weights only",
     "rbf_ols": "RBF, orthogonal least squares, linear weights only",
     "rbf_trained": "RBF, orthogonal least squares, then all weights trained",
@@ -33,6 +36,9 @@ def markdown(study: Study) -> dict[str, str]:
     tables["members"] = "\n\n".join(
         f"{TITLES[name]}:\n\n{_members(results)}" for name, results in study.members.items()
     )
+    tables["activations"] = "\n\n".join(
+        f"{TITLES[name]}:\n\n{_members(results)}" for name, results in study.activations.items()
+    )
     tables["excitations"] = _members(study.excitations)
     tables["structure"] = _structure(study)
     tables["times"] = _times(study)
@@ -45,6 +51,9 @@ def plain(study: Study) -> dict[str, Any]:
         "schema": "trms.chapter3/1",
         "tables": {name: [_row(one) for one in rows] for name, rows in study.tables.items()},
         "members": {name: [_row(one) for one in rows] for name, rows in study.members.items()},
+        "activations": {
+            name: [_row(one) for one in rows] for name, rows in study.activations.items()
+        },
         "excitations": [_row(one) for one in study.excitations],
         "structure": [
             {
@@ -56,7 +65,10 @@ def plain(study: Study) -> dict[str, Any]:
             }
             for one in study.structures
         ],
-        "seconds": {name: round(value, 2) for name, value in study.seconds.items()},
+        "seconds": {
+            name: round(sum(one.seconds for one in results), 2)
+            for name, results in parts_of(study).items()
+        },
     }
 
 
@@ -134,22 +146,19 @@ def _structure(study: Study) -> str:
 
 def _times(study: Study) -> str:
     rows = []
-    for name, results in study.tables.items():
-        first = [one.seconds for one in results if one.job.seed == results[0].job.seed]
-        rows.append(
-            [
-                f"table of `{name}`",
-                str(len(results)),
-                f"{sum(first):.1f}",
-                f"{study.seconds[name]:.0f}",
-            ]
-        )
-    others = {name: s for name, s in study.seconds.items() if name not in study.tables}
-    rows += [[name, "", "", f"{seconds:.0f}"] for name, seconds in others.items()]
-    return _table(
-        ["part", "trainings", "each algorithm once, processor time [s]", "all starts, wall [s]"],
-        rows,
-    )
+    for name, results in parts_of(study).items():
+        starts = len({one.job.seed for one in results})
+        total = sum(one.seconds for one in results)
+        rows.append([name, str(len(results)), f"{total / starts:.1f}", f"{total:.0f}"])
+    return _table(["part", "trainings", "each once [s]", "all starts [s]"], rows)
+
+
+def parts_of(study: Study) -> dict[str, list[TrainingResult]]:
+    """The trainings of each part of the study, but for those of the structure selection."""
+    parts = {f"table of `{name}`": results for name, results in study.tables.items()}
+    parts |= {f"structures, `{name}`": results for name, results in study.members.items()}
+    parts |= {f"hidden units, `{name}`": results for name, results in study.activations.items()}
+    return parts | {"excitations": study.excitations}
 
 
 def _row(one: TrainingResult) -> dict[str, Any]:

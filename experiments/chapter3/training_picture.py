@@ -70,6 +70,16 @@ class Correlation:
     failed: bool
 
 
+@dataclass(frozen=True)
+class ResponseRow:
+    """One network of a page: how it runs freely, what it leaves."""
+
+    label: str
+    runs: Mapping[str, FloatArray]  #: By angle, (n,) arrays; not finite after a divergence
+    errors: Mapping[str, float]  #: By angle, RMS of the run in mrad; infinite after a divergence
+    correlations: Mapping[str, Sequence[Correlation]]  #: By angle: of residuals one step ahead
+
+
 def draw_learning(curves: Sequence[LearningCurve], path: Path, *, title: str = "") -> None:
     """Root mean square error over epochs and over time, a curve a training."""
     with house_style():
@@ -226,21 +236,86 @@ def draw_correlations(tests: Sequence[Correlation], path: Path, *, title: str = 
         figure = new_figure(_WIDTH, 0.6 + 1.7 * rows)
         panels = figure.subplots(rows, columns, squeeze=False)
         for panel, test in zip(panels.flat, tests, strict=False):
-            colour = ALARM if test.failed else PALETTE["blue"]
-            panel.fill_between(test.lags, -test.band, test.band, color=PALE, lw=0)
-            panel.vlines(test.lags, 0, test.values, color=colour, lw=1.2)
-            panel.plot(test.lags, test.values, "o", ms=2.6, color=colour)
-            panel.axhline(0, color=GREY, lw=0.6)
-            sizes = np.abs(np.concatenate([test.values, test.band]))
-            reach = 1.25 * float(np.max(sizes[np.isfinite(sizes)], initial=0.1))
-            panel.set_ylim(-reach, reach)
-            panel.set_title(test.title, fontsize=9, color=colour if test.failed else INK)
+            _draw_correlation(panel, test)
+            panel.set_title(test.title, fontsize=9, color=ALARM if test.failed else INK)
         for panel in list(panels.flat)[len(tests) :]:
             panel.set_visible(False)
         for panel in panels[-1]:
             panel.set_xlabel("lag [samples]")
         figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
         save_png(figure, path)
+
+
+def draw_responses(
+    time: FloatArray,
+    measured: Mapping[str, FloatArray],
+    rows: Sequence[ResponseRow],
+    path: Path,
+    *,
+    title: str = "",
+) -> None:
+    """A row a network: the free run of each angle over the measured one, and its correlations.
+
+    ``title``: said above, with what colours mean.
+    """
+    tests = {angle: len(rows[0].correlations[angle]) for angle in measured}
+    wide = 6.0 / len(measured)
+    ratios = [ratio for angle in measured for ratio in (wide, *[1.35] * tests[angle])]
+    with house_style():
+        figure = new_figure(1.1 * _WIDTH, 1.0 + 0.98 * len(rows))
+        panels = figure.subplots(
+            len(rows), len(ratios), squeeze=False, gridspec_kw={"width_ratios": ratios}
+        )
+        for i, row in enumerate(rows):
+            column = 0
+            for angle, values in measured.items():
+                panel = panels[i, column]
+                panel.plot(*thin_every(time, values), color=MEASURED, lw=2.0, label="measured")
+                panel.plot(
+                    *thin_every(time, row.runs[angle]), color=PALETTE["blue"], lw=0.9,
+                    label="free run",
+                )  # fmt: skip
+                _stay_near(panel, values)
+                panel.set_xlim(float(time[0]), float(time[-1]))
+                panel.annotate(
+                    _milliradians(row.errors[angle]), (0.995, 0.97), xycoords="axes fraction",
+                    ha="right", va="top", fontsize=7.5, color=INK,
+                )  # fmt: skip
+                if i == 0:
+                    panel.set_title(f"{SIGNALS.get(angle, angle)} [rad]", fontsize=9)
+                for test, place in zip(
+                    row.correlations[angle], panels[i, column + 1 :], strict=False
+                ):
+                    _draw_correlation(place, test)
+                    if len(test.lags):
+                        place.set_xlim(0.0, 1.1 * float(test.lags[-1]))
+                    if i == 0:
+                        place.set_title(test.title, fontsize=9)
+                column += 1 + tests[angle]
+            panels[i, 0].set_ylabel(row.label, rotation=0, ha="right", va="center", color=INK)
+        for panel in panels.flat:
+            panel.tick_params(labelsize=7.5)
+        for panel in panels[:-1].flat:
+            panel.tick_params(labelbottom=False)
+        at_response = np.cumsum([0, *[1 + count for count in tests.values()]])[:-1]
+        for column, panel in enumerate(panels[-1]):
+            panel.set_xlabel("time [s]" if column in at_response else "lag", fontsize=8.5)
+        figure.align_ylabels()
+        title = f"{title}. Measured grey, free run blue; tests that fail red"
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold", color=INK)
+        save_png(figure, path)
+
+
+def _draw_correlation(panel: Axes, test: Correlation) -> None:
+    """One test with its band, red where it fails."""
+    colour = ALARM if test.failed else PALETTE["blue"]
+    panel.fill_between(test.lags, -test.band, test.band, color=PALE, lw=0)
+    panel.vlines(test.lags, 0, test.values, color=colour, lw=1.2)
+    panel.plot(test.lags, test.values, "o", ms=2.0, color=colour)
+    panel.axhline(0, color=GREY, lw=0.6)
+    sizes = np.abs(np.concatenate([test.values, test.band]))
+    reach = 1.25 * float(np.max(sizes[np.isfinite(sizes)], initial=0.1))
+    panel.set_ylim(-reach, reach)
 
 
 def _dots(panel: Axes, row: int, values: FloatArray, colour: str) -> None:
@@ -274,6 +349,10 @@ def _short(value: float) -> str:
     if not np.isfinite(value):
         return "∞"
     return f"{value:.2g}" if value < 1000 else ">1000"
+
+
+def _milliradians(value: float) -> str:
+    return f"RMS {value:.3g} mrad" if value < 1000 else "RMS > 1 rad"
 
 
 def _frame(column: int, row: int) -> Rectangle:

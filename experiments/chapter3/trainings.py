@@ -17,6 +17,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.plugins import build
 from trms_cli.identification.blackbox.prediction_error import (
     Samples,
+    Structure,
     predict_samples,
     rms,
     sample_signals,
@@ -24,8 +25,9 @@ from trms_cli.identification.blackbox.prediction_error import (
 )
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FitProblem, FitResult, SilentProgress
+from trms_cli.models.innovation_network import structure_from_data
 from trms_cli.models.model import Model
-from trms_cli.models.network import NarxStructure, Network
+from trms_cli.models.network import Network
 
 SETTINGS = Path(__file__).with_name("study.yaml")
 PARTS = ("fitted", "validation", "test")
@@ -129,7 +131,7 @@ def run_job(job: Job, short: float = 1.0) -> TrainingResult:
 def _judged(job: Job, result: FitResult, parts: Mapping[str, Dataset]) -> TrainingResult:
     document = result.model_document
     assert document is not None
-    structure = NarxStructure.from_data(document["structure"])
+    structure = structure_from_data(document["structure"])
     network = Network.from_data(document["network"])
     stages = result.details["stages"]
     one_step, free_run = {}, {}
@@ -153,7 +155,7 @@ def _judged(job: Job, result: FitResult, parts: Mapping[str, Dataset]) -> Traini
     )
 
 
-def _errors(structure: NarxStructure, samples: Samples, played: FloatArray) -> dict[str, float]:
+def _errors(structure: Structure, samples: Samples, played: FloatArray) -> dict[str, float]:
     first = structure.longest_lag
     errors = rms(played[first:] - samples.outputs[first:])
     return {

@@ -44,6 +44,11 @@ def study() -> Study:
                     "stopping": {"epochs": 3}}),
                 SHORT,
             ),
+            run_job(
+                Job("vertical", "nnssif", "nnssif", "lm", 0, {"first_epochs": 3,
+                    "stopping": {"epochs": 2}}),
+                SHORT,
+            ),
         ]
     }  # fmt: skip
     excitations = [run_job(quick("vertical", "multilevel"), SHORT)]
@@ -53,21 +58,22 @@ def study() -> Study:
         AssessedCandidate(Candidate(1, 4), 22, (0.01, 0.02), (0.3, 0.3)),
         AssessedCandidate(Candidate(2, 2), 20, (0.01, 0.02), (0.2, 0.21)),
     ]
-    return Study(tables, members, excitations, structures, dict.fromkeys(tables, 1.0))
+    activations = {"vertical": [run_job(quick("vertical", "tanh"), SHORT)]}
+    return Study(tables, members, activations, excitations, structures)
 
 
 class TestStudy:
     """The list of trainings is the thesis's; a training is told in full."""
 
-    def test_all_thirteen_on_one_axis_and_six_on_two(self):
+    def test_all_thirteen_on_each_system(self):
         trainings = {name: own["trainings"] for name, own in settings()["systems"].items()}
         options = {path.stem for path in (config_folder() / "training").glob("*.yaml")}
-        assert set(trainings["horizontal"]) == set(trainings["vertical"]) == options
-        assert set(trainings["both"]) == {"lm", "bfgs", "br", "cgb", "rp", "scg"}
+        assert len(options) == 13
+        assert all(set(names) == options for names in trainings.values())
         # Every start of every training is a job.
         assert len(_table_jobs("vertical", [0, 1])) == 26
         members = _member_jobs("both", [0])
-        assert {job.label for job in members} == {"nnarx", "nnoe"}
+        assert {job.label for job in members} == {"nnfir", "nnarx", "nnarmax", "nnssif", "nnoe"}
         assert {job.label for job in _excitation_jobs([0])} == {"prbs", "multilevel"}
 
     def test_the_test_recording_takes_no_part_in_any_training(self):
@@ -128,6 +134,11 @@ class TestStudy:
         assert {name for name in page_figures if name.endswith(".png")} >= {
             "structure.png",
             "learning_vertical.png",
+            *(
+                f"{kind}_{system}.png"
+                for kind in ("responses", "structures")
+                for system in settings()["systems"]
+            ),
         }
         assert set(drawn) <= {path.name for path in (PAGE.parent / "figures/chapter3").iterdir()}
 

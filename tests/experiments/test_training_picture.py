@@ -53,6 +53,28 @@ def test_the_map_of_structures_frames_the_selected_one(figures):
     assert "∞" in words(figures[0])
 
 
+def test_a_page_has_a_row_a_network_with_its_run_and_its_tests(figures):
+    time, lags = np.linspace(0, 10, 50), np.arange(1.0, 6.0)
+    tests = [
+        picture.Correlation("φ_ξξ", lags, 0.3 / lags, np.full(5, 0.1), True),
+        picture.Correlation("φ_uξ", lags, 0.01 / lags, np.full(5, 0.1), False),
+    ]
+    rows = [
+        picture.ResponseRow("lm", {"alpha_v": np.cos(time)}, {"alpha_v": 12.3}, {"alpha_v": tests}),
+        picture.ResponseRow(
+            "gd", {"alpha_v": np.exp(5 * time)}, {"alpha_v": np.inf}, {"alpha_v": tests}
+        ),
+    ]
+    picture.draw_responses(time, {"alpha_v": np.sin(time)}, rows, Path("x.png"), title="t")
+    axes = figures[0].axes
+    assert len(axes) == 2 * 3
+    assert "RMS 12.3 mrad" in words(figures[0])
+    assert "RMS > 1 rad" in words(figures[0])
+    assert axes[3].get_ylim()[1] < 2.0  # what diverges leaves the measured range visible
+    assert axes[1].lines[0].get_color() == picture.ALARM
+    assert axes[2].lines[0].get_color() != picture.ALARM
+
+
 def test_a_free_run_that_diverges_leaves_the_measured_range_visible(figures):
     time = np.linspace(0, 10, 50)
     measured = {"alpha_v": np.sin(time)}

@@ -1,8 +1,9 @@
 """NNARMAX and NNSSIF: perceptrons that correct themselves by their past residuals.
 
 Both begin as networks whose residuals are zero, trained one step ahead by Levenberg–Marquardt;
-then all weights are trained on the prediction error of the recursion. Residuals are normalised by
-their spread after the first of the two trainings.
+then all weights are trained on the prediction error of the recursion, over windows; what is held
+out is predicted from its first sample to its last, so that early stopping refuses predictors that
+are not stable. Residuals are normalised by their spread after the first of the two trainings.
 
 Source: M. Nørgaard, O. Ravn, N. K. Poulsen & L. K. Hansen (2000), "Neural Networks for Modelling
 and Control of Dynamic Systems", chapters 2 and 3.
@@ -142,17 +143,17 @@ class InnovationFit:
             data = _residuals_scaled(data, network, result.theta)
             steps = max(2, round(self.window / structure.sample_time))
             skip = round(self.skip / structure.sample_time)
-
-            def error(part: str) -> InnovationError:
-                recordings = getattr(data, part)
-                return InnovationError(network, structure, data.scaling, recordings, steps, skip)
-
+            scale, checked = data.scaling, None
+            if held_out := data.validation:
+                # As long as recordings are: a predictor that loses its way does so slowly.
+                whole = min(map(len, held_out))
+                checked = InnovationError(network, structure, scale, held_out, whole, skip)
             result = train(
                 self.training,
-                error("fitted"),
+                InnovationError(network, structure, scale, data.fitted, steps, skip),
                 self._corrected(network, result.theta, data),
                 self.stopping,
-                validation=error("validation") if data.validation else None,
+                validation=checked,
                 watcher=training_watcher(progress, 0.3, 0.7, self.stopping, "prediction"),
             )
             stages.append(Stage("prediction", result))
