@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -17,7 +17,7 @@ from experiments.chapter7.study import HERE, STUDY, Study, jobs_of, read_study
 from experiments.command_line import exit_code_of
 from experiments.expected_figures import json_text, rounded
 from experiments.page_tables import write_alone, write_tables
-from trms_cli.core.errors import EXIT_OK, EXIT_WORSE
+from trms_cli.core.errors import EXIT_OK, EXIT_WORSE, ConfigurationError
 
 SCHEMA = "trms.chapter7/1"
 EXPECTED = HERE / "expected.json"
@@ -33,6 +33,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="only the beginning of each case")
     parser.add_argument("--all-pairs", action="store_true", help="more observers and controllers")
     parser.add_argument("--only", default="", help="only runs whose name contains this")
+    parser.add_argument(
+        "--over-the-wire",
+        action="store_true",
+        help="the cases of the experiment in real time, each on a rig in a process of its own "
+        "behind UDP; nothing is compared or updated",
+    )
     parser.add_argument("--jobs", type=int, default=2, help="processes at once (default: 2)")
     parser.add_argument("--out", type=Path, help="folder for figures, tables and JSON")
     parser.add_argument(
@@ -47,7 +53,20 @@ def _run(arguments: argparse.Namespace) -> int:
     jobs = jobs_of(study, quick=arguments.quick, all_pairs=arguments.all_pairs)
     jobs = [job for job in jobs if arguments.only in job.key]
     begin, outcomes = perf_counter(), []
-    for outcome in run_all(jobs, study.last, arguments.jobs):
+    if arguments.over_the_wire:
+        if arguments.update:
+            raise ConfigurationError(
+                "what a clock has a part in is not repeatable",
+                where="--over-the-wire --update",
+                remedy="leave one of them out",
+            )
+        from experiments.chapter7.over_the_wire import run_over_the_wire
+
+        jobs = [job for job in jobs if job.is_blind]
+        coming: Iterable[Outcome] = (run_over_the_wire(job, study.last) for job in jobs)
+    else:
+        coming = run_all(jobs, study.last, arguments.jobs)
+    for outcome in coming:
         outcomes.append(outcome)
         message = outcome.problem or _summary(outcome)
         sys.stdout.write(f"{perf_counter() - begin:6.1f} s  {outcome.job.key}: {message}\n")
@@ -73,7 +92,7 @@ def _run(arguments: argparse.Namespace) -> int:
             _draw(study, outcomes, FIGURES)
             write_tables(PAGE, tables)
         return EXIT_OK
-    return _compare(study, figures, section)
+    return EXIT_OK if arguments.over_the_wire else _compare(study, figures, section)
 
 
 def read_expected() -> dict[str, Any]:
@@ -100,7 +119,9 @@ def _draw(study: Study, outcomes: Sequence[Outcome], folder: Path) -> None:
     block_diagrams.draw_output_feedback(folder / "loop.png")
     main_pairs = [o for o in outcomes if o.job.pair in study.pairs]
     for part in study.parts:
-        figures.draw_cases([o for o in main_pairs if o.job.part == part], folder / f"{part}.png")
+        members = [o for o in main_pairs if o.job.part == part]
+        figures.draw_cases(members, folder / f"{part}.png")
+        figures.draw_inputs(members, folder / f"{part}_inputs.png")
     if any(o.job.case == "step with force" for o in main_pairs):
         figures.draw_force(study, main_pairs, folder / "force.png")
     if OBSERVERS.is_file():

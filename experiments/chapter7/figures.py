@@ -12,6 +12,7 @@ from experiments.chapter7.runs import ANGLES, Outcome
 from experiments.chapter7.study import Study
 from trms_cli.core.wording import SIGNALS
 from trms_cli.reporting.style import (
+    ALARM,
     COLOURS,
     GREY,
     INK,
@@ -25,6 +26,8 @@ from trms_cli.reporting.style import (
 #: Curves that lie on each other: the first one wide and pale, the next narrow.
 _OVER_EACH_OTHER = ((PALETTE["sky"], 3.2), (PALETTE["vermilion"], 1.1))
 _FORCE = "step with force"
+INPUTS = {"u_v": "main rotor", "u_h": "tail rotor"}
+_LIMIT = 2.5  #: V
 #: Of the force, N m and s: `configs/disturbance/yaw_push.yaml`.
 _TORQUE, _FROM = 0.01, 30.0
 
@@ -51,6 +54,32 @@ def draw_cases(outcomes: Sequence[Outcome], path: Path) -> None:
                         label="reference",
                     )  # fmt: skip
                 panel.set_title(f"{case}: {SIGNALS[angle]} [rad]")
+                panel.margins(x=0)
+        for panel in panels[-1]:
+            panel.set_xlabel("time [s]")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper left", ncols=len(labels))
+        save_png(figure, path)
+
+
+def draw_inputs(outcomes: Sequence[Outcome], path: Path) -> None:
+    """The manipulated signals of each case, one row a case, the pairs over each other."""
+    cases = list(dict.fromkeys(outcome.job.case for outcome in outcomes))
+    with house_style():
+        figure = new_figure(9.0, 1.45 * len(cases) + 0.4)
+        panels = figure.subplots(len(cases), 2, squeeze=False, sharey=True)
+        for row, case in zip(panels, cases, strict=True):
+            members = [o for o in outcomes if o.job.case == case and o.traces]
+            for panel, name in zip(row, INPUTS, strict=True):
+                for (colour, width), outcome in zip(_OVER_EACH_OTHER, members, strict=False):
+                    panel.plot(
+                        outcome.traces["time"], outcome.traces[name], color=colour,
+                        lw=0.7 * width, label=outcome.job.pair,
+                    )  # fmt: skip
+                for bound in (-_LIMIT, _LIMIT):
+                    panel.axhline(bound, color=ALARM, lw=0.6)
+                panel.set_title(f"{case}: {INPUTS[name]} [V]")
+                panel.set_yticks([-2.0, 0.0, 2.0])
                 panel.margins(x=0)
         for panel in panels[-1]:
             panel.set_xlabel("time [s]")

@@ -11,6 +11,7 @@ from experiments.study_file import read_as
 
 HERE = Path(__file__).parent
 STUDY = HERE / "study.yaml"
+CONFIGS = HERE / "configs"  #: Options of ``trms run`` that the study adds
 
 
 class Case(msgspec.Struct, forbid_unknown_fields=True):
@@ -55,6 +56,11 @@ class Job:
     def key(self) -> str:
         """Its name in documents."""
         return f"{self.part}/{self.case}/{self.pair}"
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether its rig is of the blind sets' code."""
+        return "plant=blind_rig" in self.overrides
 
 
 def read_study(path: Path = STUDY) -> Study:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import multiprocessing
 import sys
 from collections.abc import Iterator, Sequence
@@ -16,16 +17,22 @@ import msgspec
 
 from experiments.chapter7.observers.comparison import Cell, cells_of, tally
 from experiments.chapter7.observers.innovations import replay_all
-from experiments.chapter7.observers.page import recordings_table, tables_of
+from experiments.chapter7.observers.page import (
+    free_prediction_table,
+    recordings_table,
+    tables_of,
+)
 from experiments.chapter7.observers.records import Outcome, run_job
 from experiments.chapter7.observers.study import HERE, STUDY, Job, Study, jobs_of, read_study
+from experiments.chapter7.observers.traces import draw_traces, trace_all
 from experiments.command_line import exit_code_of
 from experiments.expected_figures import json_text, rounded
-from trms_cli.core.errors import EXIT_OK
+from trms_cli.core.errors import EXIT_OK, ConfigurationError
 
 SCHEMA = "trms.observers/1"
 RESULTS = HERE / "results.json"
-PAGE = HERE.parents[2] / "docs" / "chapter7.md"
+DOCS = HERE.parents[2] / "docs"
+PAGE, FIGURES = DOCS / "chapter7.md", DOCS / "figures" / "chapter7"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -33,6 +40,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m experiments.chapter7.observers")
     parser.add_argument("--study", type=Path, default=STUDY, help="another study.yaml")
     parser.add_argument("--quick", action="store_true", help="two short records a condition")
+    parser.add_argument(
+        "--part",
+        choices=("all", "recordings", "traces"),
+        default="all",
+        help="recordings: these alone; traces: the figures of the two estimator cases alone",
+    )
     parser.add_argument("--records", type=Path, help="folder of recordings of real rigs")
     parser.add_argument("--no-times", action="store_true", help="leave out the times of a step")
     parser.add_argument("--jobs", type=int, default=2, help="processes at once (default: 2)")
@@ -48,6 +61,8 @@ def _run(arguments: argparse.Namespace) -> int:
     study = read_study(arguments.study)
     if arguments.quick:
         study = msgspec.structs.replace(study, seeds=2, duration=12.0)
+    if arguments.part != "all":
+        return _run_part(arguments, study)
     begin = perf_counter()
     outcomes = []
     for outcome in run_all(study, arguments.jobs):
@@ -61,7 +76,7 @@ def _run(arguments: argparse.Namespace) -> int:
     cells = cells_of(outcomes, study.observers, study.against)
     innovations = replay_all(study, arguments.records) if arguments.records else {}
     tables = tables_of(cells, study.observers, study.against, times=not arguments.no_times)
-    tables["recordings"] = recordings_table(innovations, study.observers)
+    tables |= _tables_of_recordings(study, innovations)
     text = json_text(rounded(document_of(study, cells, innovations, times=not arguments.no_times)))
     for name, table in tables.items():
         sys.stdout.write(f"\n{name}\n\n{table}\n")
@@ -70,15 +85,57 @@ def _run(arguments: argparse.Namespace) -> int:
         (arguments.out / "observers.json").write_text(text, encoding="utf-8")
         words = "\n\n".join(f"## {name}\n\n{table}" for name, table in tables.items())
         (arguments.out / "observers.md").write_text(words + "\n", encoding="utf-8")
+        draw_traces(trace_all(study), arguments.out)
     if arguments.update:
         from experiments.page_tables import write_tables
 
-        if not innovations:
-            tables.pop("recordings")  # those that stand there were made where they are
+        draw_traces(trace_all(study), FIGURES)
+        if not innovations:  # those that stand there were made where they are
+            for name in _tables_of_recordings(study, {}):
+                tables.pop(name)
         write_tables(PAGE, tables)
         RESULTS.write_text(text, encoding="utf-8")
     failed = [outcome for outcome in outcomes if outcome.problem]
     return 1 if failed else EXIT_OK
+
+
+def _run_part(arguments: argparse.Namespace, study: Study) -> int:
+    """The recordings, or the figures of the traces; what else stands on the page stays."""
+    from experiments.page_tables import write_alone, write_tables
+
+    out = FIGURES if arguments.update else arguments.out
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    if arguments.part == "traces":
+        traced = trace_all(study)
+        if out is not None:
+            draw_traces(traced, out)
+        return EXIT_OK
+    if arguments.records is None:
+        raise ConfigurationError(
+            "no folder given", where="--part recordings", remedy="--records FOLDER"
+        )
+    innovations = replay_all(study, arguments.records)
+    tables = _tables_of_recordings(study, innovations)
+    for name, table in tables.items():
+        sys.stdout.write(f"\n{name}\n\n{table}\n")
+    if arguments.update:
+        document = json.loads(RESULTS.read_text(encoding="utf-8"))
+        document["recordings"] = rounded(innovations)
+        RESULTS.write_text(json_text(document), encoding="utf-8")
+        write_tables(PAGE, tables)
+    elif out is not None:
+        write_alone(out, tables)
+    return EXIT_OK
+
+
+def _tables_of_recordings(study: Study, innovations: dict[str, Any]) -> dict[str, str]:
+    return {
+        "recordings": recordings_table(innovations, study.observers),
+        "free prediction": free_prediction_table(
+            innovations, study.observers, study.free_prediction.horizons
+        ),
+    }
 
 
 def run_all(study: Study, jobs: int) -> Iterator[Outcome]:

@@ -18,6 +18,7 @@ HEADS = {
 }
 _SCALE = {"alpha_h": 1e3, "alpha_v": 1e3, "omega_h": 1.0, "omega_v": 1.0, "S_h": 1e3, "S_v": 1e3}
 _ANGLES_ONLY = "angles"
+_CHANNELS = ("alpha_h", "alpha_v", "omega_h", "omega_v")
 
 
 def tables_of(
@@ -87,13 +88,34 @@ def recordings_table(innovations: Mapping[str, Any], observers: Sequence[str]) -
                 [
                     _first(name, i),
                     f"`{observer}`",
-                    *(
-                        _prediction(channels.get(channel))
-                        for channel in ("alpha_h", "alpha_v", "omega_h", "omega_v")
-                    ),
+                    *(_prediction(channels.get(channel)) for channel in _CHANNELS),
                 ]
             )
     heads = ["recording", "observer", "yaw", "pitch", "ω_h", "ω_v"]
+    return _table(heads, rows)
+
+
+def free_prediction_table(
+    innovations: Mapping[str, Any], observers: Sequence[str], horizons: Sequence[float]
+) -> str:
+    """RMSE of the free prediction at each horizon; a line where there are none."""
+    if not innovations:
+        return "The recordings were not there."
+    rows = []
+    for name, of in innovations.items():
+        for i, observer in enumerate(observers):
+            cells = []
+            for channel in _CHANNELS:
+                figures = of[observer].get(channel, {})
+                errors = [figures.get("free", {}).get(f"{h:g}") for h in horizons]
+                scale = 1e3 if figures.get("unit") == "rad" else 1.0
+                cells.append(
+                    "–"
+                    if any(error is None for error in errors)
+                    else ", ".join(f"{scale * error:.3g}" for error in errors)
+                )
+            rows.append([_first(name, i), f"`{observer}`", *cells])
+    heads = ["recording", "observer", "yaw [mrad]", "pitch [mrad]", "ω_h [rad/s]", "ω_v [rad/s]"]
     return _table(heads, rows)
 
 

@@ -29,6 +29,29 @@ class Recording(msgspec.Struct, forbid_unknown_fields=True):
     observers: dict[str, list[str]] = {}  #: further ones, by observer
 
 
+class FreePrediction(msgspec.Struct, forbid_unknown_fields=True):
+    """How far the model is to see from an estimate, on recordings."""
+
+    horizons: list[float]  #: s
+    every: float  #: s between two starts
+    begin: float  #: s before the first one
+
+
+class Traces(msgspec.Struct, forbid_unknown_fields=True):
+    """Records of which the estimates of some observers are drawn beside the truth."""
+
+    observers: list[str]
+    records: dict[str, TracedRecord]
+
+
+class TracedRecord(msgspec.Struct, forbid_unknown_fields=True):
+    """One of them."""
+
+    condition: str
+    seed: int
+    torques: str = "estimated"
+
+
 class Study(msgspec.Struct, forbid_unknown_fields=True):
     """The whole study."""
 
@@ -42,6 +65,8 @@ class Study(msgspec.Struct, forbid_unknown_fields=True):
     channels: dict[str, list[str]]
     conditions: dict[str, Condition]
     recordings: dict[str, Recording]
+    free_prediction: FreePrediction
+    traces: Traces
 
 
 @dataclass(frozen=True)

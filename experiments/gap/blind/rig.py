@@ -124,6 +124,12 @@ class Rigs:
     def __len__(self) -> int:
         return len(self.constants["g"])
 
+    def begin(self, sample_time: float) -> RigsInMotion:
+        """All rigs hanging at rest; ``sample_time``: s, a whole number of integration steps."""
+        motion = RigsInMotion(self, sample_time)
+        motion.rest()
+        return motion
+
     def run(
         self, driver: Driver, duration: float, sample_time: float, settling: float = 20.0
     ) -> RigRecordings:
@@ -133,7 +139,7 @@ class Rigs:
         ``settling``: s at the first command before, with the axes braked, so that no run begins
         wild; with 0 a run begins hanging at rest.
         """
-        run = _Run(self, sample_time)
+        run = self.begin(sample_time)
         run.settle(driver, settling)
         samples = round(duration / sample_time)
         commands = np.empty((len(self), samples, 2))
@@ -147,7 +153,7 @@ class Rigs:
         return RigRecordings(time, commands, measured)
 
 
-class _Run:
+class RigsInMotion:
     """The state of all rigs during a run."""
 
     def __init__(self, rigs: Rigs, sample_time: float) -> None:
@@ -178,7 +184,7 @@ class _Run:
         ]
         self.cable = Slips(self.own.slip_spread)
         self._shape()
-        self.push = np.zeros((2, n))
+        self.push = np.zeros((2, n))  #: External torques on pitch and yaw, N m
         share = self.none + self.own.flexibility
         self.modes = [Oscillator(share, np.full(n, 21.0), np.full(n, 0.03)) for _ in axes]
         self.flexible = [
@@ -234,18 +240,21 @@ class _Run:
         shields = c["m_ms"] * c["r_ms"] ** 2 / 2 + c["m_ts"] * c["r_ts"] ** 2 / 2
         self.J_v = (self.D + self.E + shields) * self.own.pitch_inertia
 
-    def settle(self, driver: Driver, duration: float) -> None:
-        """Come to rest at the first command."""
+    def rest(self) -> None:
+        """As if the axes had been where they are for long."""
         for line, angle in zip(self.late, self.x[4:], strict=True):
             line.settle(angle)
+
+    def settle(self, driver: Driver, duration: float) -> None:
+        """Come to rest at the first command."""
+        self.rest()
         if not duration:
             return
         first = np.clip(driver.command(0, 0.0, self.measure()), -COMMAND_LIMIT, COMMAND_LIMIT)
         for _ in range(round(duration / STEP)):
             self._step(first)
             self.x[2:4] *= 0.999
-        for line, angle in zip(self.late, self.x[4:], strict=True):
-            line.settle(angle)
+        self.rest()
         self.time = 0.0
 
     def advance(self, command: FloatArray) -> None:

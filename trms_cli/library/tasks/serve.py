@@ -26,7 +26,7 @@ def perform(composition: Composition) -> int:
     from trms_cli.plants.link.served_rig import ServedRig
     from trms_cli.plants.link.server import PseudoTerminal, RigServer, UdpListener
     from trms_cli.plants.plant import PlantSetup
-    from trms_cli.plants.simulated import SimulatedRig
+    from trms_cli.plants.replay import RecordedRig
     from trms_cli.simulation.pace import undisturbed
     from trms_cli.simulation.stop import StopRequest
 
@@ -40,7 +40,7 @@ def perform(composition: Composition) -> int:
     if not 0 <= port <= 65535:
         raise ConfigurationError(f"{port} given", where="port", remedy="0 to 65535")
     plant = build(config["plant"], "plant")
-    if not isinstance(plant, SimulatedRig):
+    if getattr(plant, "real_time", False) or isinstance(plant, RecordedRig):
         raise ConfigurationError(
             f"plant={composition.choices.get('plant')} is no simulated rig",
             where="plant",
