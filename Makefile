@@ -21,7 +21,7 @@ export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run rig test slow package docs docs-links docs-check notebook fuzz lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 tournament robustness coverage closing-loop tras-fit aero-fit blind blind-full blind-imperfect blind-severity calibration docs-figures lock clean
+	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 model-study tournament robustness coverage closing-loop tras-fit aero-fit blind blind-full blind-imperfect blind-severity calibration docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -117,6 +117,9 @@ chapter7: $(READY) ## study: observers, output feedback, a rig with withheld par
 
 chapter8: $(READY) ## study: robust MPC by linear matrix inequalities
 	@$(BIN)/python -m experiments.chapter8 $(ARGS)
+
+model-study: $(READY) ## study: which model is best for control, on rigs of other code (RECORDS=folder of the TRAS record)
+	@$(BIN)/python -m experiments.model_study --record '$(RECORDS)' $(ARGS)
 
 tournament: $(READY) ## all controllers, observers, references and rigs crossed, 2939 runs, ranked (half an hour)
 	@$(BIN)/python -m experiments.tournament $(ARGS)
