@@ -150,7 +150,10 @@ def _times(study: Study) -> str:
         starts = len({one.job.seed for one in results})
         total = sum(one.seconds for one in results)
         rows.append([name, str(len(results)), f"{total / starts:.1f}", f"{total:.0f}"])
-    return _table(["part", "trainings", "each once [s]", "all starts [s]"], rows)
+    return _table(
+        ["part", "trainings", "each once, processor time [s]", "all starts, processor time [s]"],
+        rows,
+    )
 
 
 def parts_of(study: Study) -> dict[str, list[TrainingResult]]:
