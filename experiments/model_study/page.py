@@ -208,7 +208,7 @@ def _choice(results: Results) -> list[list[str]]:
         standings = rank({n: results.loop_errors(n, ranked) for n in names})
         taken, equals = choose(standings, effort, level)
         ratio = paired_ratio(results.loop_errors(taken, ranked), results.loop_errors(best, ranked))
-        others = ", ".join(name_of(results, n) for n in equals if n != taken) or "–"
+        others = "; ".join(name_of(results, n) for n in equals if n != taken) or "–"
         foresight: Standing = rank({n: results.free_run_errors(n) for n in names})[0]
         over = "1" if taken == best else _ratio(ratio)
         rows.append(
