@@ -165,10 +165,10 @@ def _study(arguments: argparse.Namespace) -> int:
     if arguments.quick:
         study |= yaml.safe_load(
             "{seeds: [4], record: {duration: 20.0, sample_time: 0.02}, windows: [4.0], "
-            "test: {duration: 10.0, seed: 1000}, run: {duration: 4.0, from: 1.0}, "
+            "test: {duration: 10.0, seed: 1000}, run: {duration: 4.0, from: 1.0, "
+            "models: [refit, network]}, "
             "effects: {yaw_cable_stiffness: {stiffness: 0.015}}, models: [refit, network]}"
         )
-        study["tasks"] = {"squares": study["tasks"]["squares"]}
     report, out = progress_with_time(), arguments.out
     rigs = [
         rig_of(effect, sizes, seed, study["scatter"])
@@ -183,14 +183,14 @@ def _study(arguments: argparse.Namespace) -> int:
         lambda rig, name: model_of(rig, name, out),
         rigs,
         study["tasks"],
-        study["models"],
+        study["run"]["models"],
         study,
         out,
         report,
     )
     for task in study["tasks"]:
         own = [run for run in runs if run.task == task]
-        tables[task] = tracking_table(own, study["models"])
+        tables[task] = tracking_table(own, study["run"]["models"])
     print_tables(tables, width=150)
     if arguments.update:
         write_tables(PAGE, {name: markdown(rows) for name, rows in tables.items()})

@@ -13,6 +13,7 @@ from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.effects.quadratic_damping import QuadraticDamping
+from trms_cli.identification.findings import _of_network
 from trms_cli.identification.free_runs import error_figures, window_runs
 from trms_cli.identification.multiple_shooting import MultipleShooting
 from trms_cli.identification.problem import (
@@ -143,3 +144,15 @@ def test_an_unknown_regressor_is_refused_with_those_that_there_are(asked):
     with pytest.raises(ConfigurationError) as caught:
         method(regressors=["wind"])._untrained(replace(asked, free=()))
     assert caught.value.where == "method.regressors" and "alpha_v_rate" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("record", "words"),
+    [
+        ({"kept": True, "validation_loss": [1.0, 0.64]}, "takes 20 % off"),
+        ({"kept": False, "validation_loss": [1.0, 0.95]}, "No network is kept"),
+        ({"kept": True, "validation_loss": [None, None]}, "nothing was held out"),
+    ],
+)
+def test_what_decided_is_told(record, words):
+    assert words in _of_network(record)

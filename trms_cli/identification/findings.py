@@ -85,7 +85,23 @@ def _lead(document: Mapping[str, Any]) -> Iterator[str]:
             f"Alone over windows of up to {length:g} s, on {data}, the model foretells "
             f"{', '.join(words)} RMS."
         )
+    if network := document["details"].get("network"):
+        yield _of_network(network)
     yield f"How it ended: {document['sentence']}."
+
+
+def _of_network(network: Mapping[str, Any]) -> str:
+    """Whether a white-box model's network was kept, and what decided."""
+    before, after = network["validation_loss"]
+    if not network["kept"]:
+        return (
+            "No network is kept: none foretold what is held out enough better than the parameters "
+            "alone (method.least_gain)."
+        )
+    if before is None or after is None:
+        return "The network is kept; nothing was held out to tell whether it should be."
+    share = wording.number(100 * (1 - (after / before) ** 0.5), 2)
+    return f"The network is kept: it takes {share} % off the error on what is held out."
 
 
 def _measures(document: Mapping[str, Any]) -> Iterator[report.Measure]:

@@ -75,7 +75,7 @@ _TORQUE_SHARE = 0.1
 _SHARE_OF_PARAMETERS = 0.3
 
 
-class SimulationError:
+class ShootingError:
     """The error of simulated windows in parameters and weights; see the module's head.
 
     A :class:`trms_cli.identification.blackbox.prediction_error.TrainingObjective` of z (n_f,), the
@@ -93,7 +93,7 @@ class SimulationError:
         *,
         prior: FloatArray | None = None,
         sd: FloatArray | None = None,
-        like: "SimulationError | None" = None,
+        like: "ShootingError | None" = None,
     ) -> None:
         self._problem = problem
         self._prior = np.zeros(len(start)) if prior is None else prior
@@ -330,7 +330,7 @@ class TorqueNetworkFit:
 
     def _trained(
         self, problem: FitProblem, plain: FitResult, network: TorqueNetwork, progress: Progress
-    ) -> tuple[Training, SimulationError, float]:
+    ) -> tuple[Training, ShootingError, float]:
         """The training, its objective, and how many samples say as much as one."""
         model = changed_beneath(
             problem.model, lambda white: white.with_network(network, free_weights=True)
@@ -348,11 +348,11 @@ class TorqueNetworkFit:
         values = [plain.values[parameter.name] for parameter in free[: -len(weights)]]
         values += [w for array in network.network.weights.values() for w in array.ravel()]
         start = (np.array(values) - weighed.prior_means) / weighed.scales
-        objective = SimulationError(weighed, start, prior=prior)
+        objective = ShootingError(weighed, start, prior=prior)
         checked = None
         if problem.validation:
             held_out = replace(weighed, datasets=problem.validation, validation=())
-            checked = SimulationError(held_out, start, sd=objective.sd, like=objective)
+            checked = ShootingError(held_out, start, sd=objective.sd, like=objective)
         watcher = training_watcher(
             progress,
             _SHARE_OF_PARAMETERS,
@@ -366,7 +366,7 @@ class TorqueNetworkFit:
         return training, objective, samples
 
     def _record(
-        self, problem: FitProblem, training: Training, objective: SimulationError
+        self, problem: FitProblem, training: Training, objective: ShootingError
     ) -> dict[str, Any]:
         losses, checks = training.history.losses, training.history.validation
         kept = training.best_epoch

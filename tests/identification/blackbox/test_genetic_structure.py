@@ -14,7 +14,7 @@ from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.model_file import load_model
 from trms_cli.identification.blackbox.genetic_structure import (
-    Candidates,
+    Monomials,
     SimulatedPolynomials,
     simulated_errors,
 )
@@ -77,7 +77,7 @@ def bent():
 
 
 def test_candidates_are_all_monomials_and_what_they_are():
-    candidates = Candidates.up_to(3, 3)
+    candidates = Monomials.up_to(3, 3)
     assert len(candidates) == 20  # (3 + 3)! / (3! 3!)
     z = np.random.default_rng(0).normal(size=(5, 3))
     expected = np.prod(z[:, None, :] ** candidates.exponents, axis=2)
@@ -87,7 +87,7 @@ def test_candidates_are_all_monomials_and_what_they_are():
 def test_coefficients_without_moves_are_least_squares_over_the_terms_that_are_there():
     asked = problem()
     data = prepare_samples(Regressors(output_lags=(1, 2), input_lags=(1,)), asked)
-    candidates = Candidates.up_to(data.structure.n_regressors, 2)
+    candidates = Monomials.up_to(data.structure.n_regressors, 2)
     windows = method()._windows(data, "fitted")
     polynomials = SimulatedPolynomials(data, candidates, windows, 3.0)
     random = np.random.default_rng(2)
@@ -110,7 +110,7 @@ def test_coefficients_without_moves_are_least_squares_over_the_terms_that_are_th
 def test_models_side_by_side_are_simulated_as_each_alone():
     asked = problem()
     data = prepare_samples(Regressors(output_lags=(1, 3), input_lags=(1, 2)), asked)
-    candidates = Candidates.up_to(data.structure.n_regressors, 1)
+    candidates = Monomials.up_to(data.structure.n_regressors, 1)
     windows = method()._windows(data, "fitted")
     theta = 0.1 * np.random.default_rng(3).normal(size=(3, 2, len(candidates)))
     errors = simulated_errors(windows, candidates, theta)

@@ -63,7 +63,7 @@ _MOST_SAMPLES, _FLIPS = 4000, 0.1
 
 
 @dataclass(frozen=True)
-class Candidates:
+class Monomials:
     """All monomials up to a degree: the constant first, then degree by degree."""
 
     exponents: IntArray  #: (n_terms, n_phi)
@@ -72,7 +72,7 @@ class Candidates:
     degrees: IntArray  #: (n_terms,)
 
     @classmethod
-    def up_to(cls, n_regressors: int, degree: int) -> "Candidates":
+    def up_to(cls, n_regressors: int, degree: int) -> "Monomials":
         combinations = [
             c
             for d in range(degree + 1)
@@ -109,7 +109,7 @@ class SimulatedPolynomials:
     """
 
     def __init__(
-        self, data: NetworkData, candidates: Candidates, windows: MultiStepError, spread: float
+        self, data: NetworkData, candidates: Monomials, windows: MultiStepError, spread: float
     ) -> None:
         self.data, self.candidates, self._windows, self.spread = data, candidates, windows, spread
         z, targets = data.normalised(data.fitted_smooth)
@@ -143,7 +143,7 @@ class SimulatedPolynomials:
 
 
 def simulated_errors(
-    windows: MultiStepError, candidates: Candidates, theta: FloatArray
+    windows: MultiStepError, candidates: Monomials, theta: FloatArray
 ) -> FloatArray:
     """As :meth:`SimulatedPolynomials.errors`; infinite after a divergence, (m,)."""
     structure, scaling = windows.structure, windows.scaling
@@ -197,7 +197,7 @@ class GeneticStructure:
     def fit(self, problem: FitProblem, progress: Progress) -> FitResult:
         """Fit the problem; see :class:`trms_cli.identification.problem.Method`."""
         data = prepare_samples(self.regressors, problem)
-        candidates = Candidates.up_to(data.structure.n_regressors, self.degree)
+        candidates = Monomials.up_to(data.structure.n_regressors, self.degree)
         polynomials = SimulatedPolynomials(
             data, candidates, self._windows(data, "fitted"), self.spread
         )
@@ -313,7 +313,7 @@ class GeneticStructure:
         self,
         problem: FitProblem,
         data: NetworkData,
-        candidates: Candidates,
+        candidates: Monomials,
         present: BoolArray,
         theta: FloatArray,
         result: SearchResult,
@@ -345,7 +345,7 @@ class GeneticStructure:
         self,
         problem: FitProblem,
         data: NetworkData,
-        candidates: Candidates,
+        candidates: Monomials,
         theta: FloatArray,
         record: Mapping[str, Any],
     ) -> dict[str, Any]:
@@ -366,7 +366,7 @@ class GeneticStructure:
 
 
 def linear_model(
-    problem: FitProblem, data: NetworkData, candidates: Candidates, theta: FloatArray
+    problem: FitProblem, data: NetworkData, candidates: Monomials, theta: FloatArray
 ) -> DiscreteStateSpace:
     """The state space of linear terms, about the rest at the mean command of the recordings.
 
@@ -459,11 +459,11 @@ def _decoded(points: FloatArray, shape: tuple[int, int]) -> tuple[BoolArray, Flo
     return genes[:, 0] >= 0.5, 2.0 * genes[:, 1] - 1.0
 
 
-def _is_linear(candidates: Candidates, theta: FloatArray) -> bool:
+def _is_linear(candidates: Monomials, theta: FloatArray) -> bool:
     return not np.any(theta[:, candidates.degrees > 1])
 
 
-def _network(data: NetworkData, candidates: Candidates, theta: FloatArray) -> Network:
+def _network(data: NetworkData, candidates: Monomials, theta: FloatArray) -> Network:
     """The polynomial as a network; with a term of no weight where it is linear."""
     scaling, n_z = data.scaling, data.structure.n_regressors
     bent = np.flatnonzero((candidates.degrees > 1) & np.any(theta != 0.0, axis=0))
