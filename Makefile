@@ -21,7 +21,7 @@ export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run rig test slow package docs docs-links docs-check notebook fuzz lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 model-study tournament robustness coverage closing-loop tras-fit aero-fit blind blind-full blind-imperfect blind-severity calibration docs-figures lock clean
+	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 model-study tournament robustness coverage closing-loop network-correction tras-fit aero-fit blind blind-full blind-imperfect blind-severity calibration docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -132,6 +132,9 @@ coverage: $(READY) ## study: do the intervals of a fit hold the truth? (half an 
 
 closing-loop: $(READY) ## study: rigs controlled with nominal, diagnosed and true models (a quarter of an hour)
 	@$(BIN)/python -m experiments.gap $(ARGS)
+
+network-correction: $(READY) ## study: a network beside the equations, on rigs of other code and in the loop (half an hour)
+	@$(BIN)/python -m experiments.gap.network_correction $(ARGS)
 
 tras-fit: $(READY) ## study: a fit to the real TRAS (RECORDS=folder with closed_loop.csv)
 	@$(BIN)/python -m experiments.tras '$(RECORDS)' $(ARGS)
