@@ -46,10 +46,10 @@ rig: $(READY) ## a simulated rig in a process of its own, driven over UDP, watch
 	@$(BIN)/python -m experiments.rig $(ARGS)
 
 test: $(READY) ## set up and run the tests
-	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) -m 'not slow' -q $(ARGS)
+	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations 10 -m 'not slow' -q $(ARGS)
 
 slow: $(READY) ## the long tests, but for those of `make package`
-	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) -m slow -q --ignore=tests/packaging $(ARGS)
+	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations 40 -m slow -q --ignore=tests/packaging $(ARGS)
 
 package: $(READY) ## wheel and source distribution, built, installed under lowest and newest dependencies, used
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -q -m slow tests/packaging $(ARGS)
