@@ -172,7 +172,7 @@ BAD_INPUT = [
     ("sim.sample_time=0.03", "sim.sample_time=0.03", "controller.sample_time=0.1 s"),
     ("effect=[yaw_coulomb_friction", "effect", "a bracket is missing"),
     ("effect=[main_input_delay,main_input_delay]", "effect", "main_input_delay stands twice"),
-    ("controller.terminal=maybe", "controller.terminal", "allowed: equality, none"),
+    ("controller.terminal=maybe", "controller.terminal", "allowed: contractive, control_lyapunov"),
     ("signal@ref.alpha_x=sine", "signal@ref.alpha_x", "allowed: signal@ref.alpha_h, signal"),
     ("controller.soft_limits.alpha_v=0.5", "controller.soft_limits.alpha_v", "[lower, upper]"),
     ("ref=from_csv ref.alpha_v.file=nix.csv", "no file 'nix.csv'", "in ref.alpha_v.file"),

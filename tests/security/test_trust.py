@@ -152,8 +152,18 @@ def test_every_target_of_our_own_configuration_is_a_plugin() -> None:
             targets |= set(re.findall(r"_target_:\s*['\"]?([\w.]+)", text))
     assert len(targets) > 80
     for target in sorted(targets):
+        if target.startswith("experiments."):  # beside the program: its study allows it to itself
+            with pytest.raises(ConfigurationError, match="--allow experiments"):
+                trust.check_allowed(target, "")
+            assert inspect.isclass(_named(target))
+            continue
         trust.check_allowed(target, "")
         locate(target, "")
+
+
+def _named(target: str) -> object:
+    module, _, name = target.rpartition(".")
+    return getattr(importlib.import_module(module), name)
 
 
 def _plugins() -> Iterator[type]:
