@@ -123,7 +123,7 @@ typedef struct {
  * the cost, and gains, by q and the block's inputs. */
 typedef struct {
     double F[MPC_N][MPC_N_FULL][MPC_N_F]; /* next state by (state, input) */
-    double value[MPC_N_ON ? 2 : MPC_N + 1][MPC_N_V + MPC_N_PRICES][MPC_N_M];
+    double value[MPC_N + 1][MPC_N_V + MPC_N_PRICES][MPC_N_M];
     double slope[MPC_N_BLOCKS][MPC_N_U][MPC_N_ROW], gain[MPC_N_BLOCKS][MPC_N_U][MPC_N_ROW];
     double miss[MPC_ROOM(MPC_N_TERMINAL)], price[MPC_ROOM(MPC_N_PRICES)];
     double dz[MPC_N_Z], dx[MPC_N + 1][MPC_N_FULL], dx_before[MPC_N + 1][MPC_N_FULL];

@@ -28,8 +28,6 @@ enum { QP_BELOW = -2, QP_ON_LOWER = -1, QP_ON_UPPER = 1, QP_ABOVE = 2 };
 #define QP_CONSTANT (MPC_N_V / 4 * 4)           /* where rows of multipliers begin, aligned */
 #define QP_PRICES (MPC_N_V + 1)                 /* first column of the multipliers */
 #define QP_ON (MPC_N_V + MPC_N_TERMINAL)        /* first row of those of soft limits */
-/* The value function before period k: kept where a sweep may begin amid the horizon. */
-#define QP_VALUE(k) (MPC_N_ON ? (k) & 1 : (k))
 #define QP_OTHERS MPC_N_M                       /* first column of the period's inputs */
 
 /* Where an input stands: free, at a bound, or moved as far as its rate allows. */
@@ -177,22 +175,35 @@ static void mpc_qp_end_cost(const mpc_ctx *c, double (*restrict M)[MPC_N_M]) {
 #endif
 }
 
+/* Rows of the multipliers of limits that enter before period k, in the value function there: how
+ * far they are off. */
+static void mpc_qp_begin_rows(mpc_ctx *c, int k) {
+    double (*restrict M)[MPC_N_M] = c->qp.value[k];
+    const int most = k * MPC_ROOM(MPC_N_LIMITED);
+    int at;
+    for (at = 0; at < MPC_ROWS_SOFT && at < most && c->qp.has_limits; at++)
+        if (c->qp.touch[at] == QP_ON_LOWER || c->qp.touch[at] == QP_ON_UPPER) {
+            memset(M[QP_ON + c->qp.on[at]], 0, sizeof M[0]);
+            M[QP_ON + c->qp.on[at]][QP_ONE] = c->qp.touch[at] * mpc_off_limit(c, at);
+        }
+#if MPC_RATES_LIMITED
+    for (at = 0; at < MPC_N_Z && at < (k ? mpc_block[k - 1] + 1 : 0) * MPC_N_U; at++)
+        if (c->qp.fast[at]) {
+            memset(M[QP_ON + c->qp.on_rate[at]], 0, sizeof M[0]);
+            M[QP_ON + c->qp.on_rate[at]][QP_ONE] =
+                c->qp.fast[at] * mpc_since(c, at / MPC_N_U, at % MPC_N_U) -
+                c->settings.largest_moves[at % MPC_N_U];
+        }
+#endif
+}
+
 /* The value function beyond the last period. */
 static void mpc_qp_end(mpc_ctx *c) {
     const mpc_settings *s = &c->settings;
-    double (*restrict M)[MPC_N_M] = c->qp.value[QP_VALUE(MPC_N)];
-    int i, at;
+    double (*restrict M)[MPC_N_M] = c->qp.value[MPC_N];
+    int i;
     memset(M, 0, sizeof c->qp.value[0]);
-    for (at = 0; at < MPC_ROWS_SOFT && c->qp.has_limits; at++) /* off the limits */
-        if (c->qp.touch[at] == QP_ON_LOWER || c->qp.touch[at] == QP_ON_UPPER)
-            M[QP_ON + c->qp.on[at]][QP_ONE] = c->qp.touch[at] * mpc_off_limit(c, at);
-#if MPC_RATES_LIMITED
-    for (at = 0; at < MPC_N_Z; at++) /* and off the limits of rates */
-        if (c->qp.fast[at])
-            M[QP_ON + c->qp.on_rate[at]][QP_ONE] =
-                c->qp.fast[at] * mpc_since(c, at / MPC_N_U, at % MPC_N_U) -
-                s->largest_moves[at % MPC_N_U];
-#endif
+    mpc_qp_begin_rows(c, MPC_N);
     mpc_qp_add_errors(c, MPC_N, M);
     if (mpc_has_end_cost(c)) {
         mpc_qp_end_cost(c, M);
@@ -357,8 +368,8 @@ static int mpc_qp_choose(mpc_ctx *c, int b, double (*restrict M)[MPC_N_M],
 static int mpc_qp_back(mpc_ctx *c, int k) {
     const mpc_settings *s = &c->settings;
     mpc_qp *q = &c->qp;
-    double (*restrict next)[MPC_N_M] = q->value[QP_VALUE(k + 1)];
-    double (*restrict M)[MPC_N_M] = q->value[QP_VALUE(k)];
+    double (*restrict next)[MPC_N_M] = q->value[k + 1];
+    double (*restrict M)[MPC_N_M] = q->value[k];
     double (*restrict F)[MPC_N_F] = q->F[k];
     double left[MPC_N_V][MPC_N_M], h[MPC_N_U][MPC_N_ROW];
     const double *now = c->trajectory + k * MPC_N_FULL;
@@ -367,7 +378,8 @@ static int mpc_qp_back(mpc_ctx *c, int k) {
     int i, j;
     /* M of (next state, input), by (state, input) to the right: the rest stays */
     for (i = 0; i < MPC_N_V; i++) {
-        for (j = 0; j < MPC_N_M; j++) left[i][j] = j < MPC_N_FULL ? 0 : next[i][j];
+        memset(left[i], 0, MPC_N_FULL * sizeof left[0][0]);
+        memcpy(left[i] + MPC_N_FULL, next[i] + MPC_N_FULL, (MPC_N_M - MPC_N_FULL) * sizeof left[0][0]);
         mpc_qp_add_rows(left[i], F[0], MPC_N_F, next[i], 1, MPC_N_FULL, MPC_N_F);
     }
     for (i = 0; i < MPC_N_DAMPED; i++) { /* and the rates on the right */
@@ -382,7 +394,8 @@ static int mpc_qp_back(mpc_ctx *c, int k) {
     /* and to the left */
     for (i = 0; i < MPC_N_V; i++) {
         double *restrict row = i < MPC_N_FULL ? M[i] : h[i - MPC_N_FULL];
-        for (j = 0; j < MPC_N_M; j++) row[j] = i < MPC_N_FULL ? 0 : left[i][j];
+        if (i < MPC_N_FULL) memset(row, 0, sizeof M[0]);
+        else memcpy(row, left[i], sizeof left[0]);
         mpc_qp_add_rows(row, left[0], MPC_N_M, &F[0][i], MPC_N_F, MPC_N_FULL, q->width);
     }
     for (i = 0; i < MPC_N_DAMPED; i++) { /* less the state that a rate is since */
@@ -405,18 +418,21 @@ static int mpc_qp_back(mpc_ctx *c, int k) {
     }
     if (k) mpc_qp_add_errors(c, k, M);
     for (i = MPC_N_V; i < QP_ON + q->n_on; i++)
-        for (j = QP_CONSTANT; j < MPC_N_M; j++) M[i][j] = next[i][j];
+        memcpy(M[i] + QP_CONSTANT, next[i] + QP_CONSTANT, sizeof M[0] - QP_CONSTANT * sizeof M[0][0]);
     if (mpc_begins(k)) return mpc_qp_choose(c, mpc_block[k], M, h);
     for (i = 0; i < MPC_N_U; i++) /* the input before goes on */
         memcpy(M[MPC_N_FULL + i], h[i], sizeof M[0]);
     return 1;
 }
 
+/* The value functions before periods `from` and earlier; those beyond are right, unless it is the
+ * horizon's end. */
 static int mpc_qp_sweep(mpc_ctx *c, int from) {
     int k;
     c->qp_iterations++;
-    if (from == MPC_N - 1) mpc_qp_end(c);
-    for (k = from; k >= 0; k--)
+    if (from >= MPC_N - 1) mpc_qp_end(c);
+    else mpc_qp_begin_rows(c, from + 1);
+    for (k = from < MPC_N ? from : MPC_N - 1; k >= 0; k--)
         if (!mpc_qp_back(c, k)) return 0;
     return 1;
 }
@@ -428,49 +444,44 @@ static int mpc_qp_maximise(mpc_ctx *c, int without) {
 #if MPC_N_PRICES
     const double mu = c->settings.terminal_linear, nu = c->settings.terminal_quadratic;
     const int n = MPC_N_TERMINAL + c->qp.n_on;
-    double (*first)[MPC_N_M] = c->qp.value[QP_VALUE(0)] + MPC_N_V; /* g and -G */
+    double (*first)[MPC_N_M] = c->qp.value[0] + MPC_N_V; /* g and -G */
     double *restrict l = c->qp.price, value = -HUGE_VAL, size = 1;
+    double L[MPC_N_PRICES][MPC_N_PRICES]; /* Cholesky factor of the curvature by `curved` */
+    signed char is_beyond[MPC_N_PRICES], curved[MPC_N_PRICES] = {-1};
     int round, i, j, m;
     for (i = 0; i < n; i++)
         if (1 + fabs(first[i][QP_ONE]) > size) size = 1 + fabs(first[i][QP_ONE]);
     if (without) l[0] = 0;
     for (round = 0; round < QP_PRICE_ROUNDS && n; round++) {
-        double L[MPC_N_PRICES][MPC_N_PRICES];
         double r[MPC_N_PRICES], d[MPC_N_PRICES];
         double trial[MPC_N_PRICES], slope = 0, largest = 0, length;
         for (i = 0; i < n; i++) {
             const double beyond = i < MPC_N_TERMINAL ? fabs(l[i]) - mu : 0;
             double sum = first[i][QP_ONE];
-            for (j = 0; j < n; j++) {
-                sum += first[i][QP_PRICES + j] * l[j];
-                L[i][j] = -first[i][QP_PRICES + j];
-            }
-            L[i][i] += 1e-10;
-            if (beyond > 0) {
-                sum -= copysign(beyond, l[i]) / (2 * nu);
-                L[i][i] += 1 / (2 * nu);
-            }
+            for (j = 0; j < n; j++) sum += first[i][QP_PRICES + j] * l[j];
+            is_beyond[i] = beyond > 0;
+            if (beyond > 0) sum -= copysign(beyond, l[i]) / (2 * nu);
             r[i] = sum;
         }
-        if (without) {
-            r[0] = 0;
-            for (j = 0; j < n; j++) L[0][j] = L[j][0] = j == 0;
-        }
+        if (without) r[0] = 0;
         for (i = 0; i < n; i++)
             if (!(fabs(r[i]) <= largest)) largest = fabs(r[i]);
         if (!(largest < HUGE_VAL)) return 0;
         if (largest <= (round > 1 ? 1e-13 : 1e-17) * size) return 1;
-        for (i = 0; i < n; i++)
+        for (i = 0; i < n && memcmp(is_beyond, curved, (size_t)n); i++)
             for (j = 0; j <= i; j++) {
-                double sum = L[i][j];
+                const int is_left_out = without && j == 0;
+                double sum = is_left_out ? i == 0 : -first[i][QP_PRICES + j];
                 for (m = 0; m < j; m++) sum -= L[i][m] * L[j][m];
                 if (j < i) {
                     L[i][j] = sum / L[j][j];
                 } else {
+                    if (!is_left_out) sum += 1e-10 + (is_beyond[i] ? 1 / (2 * nu) : 0);
                     if (!(sum > 0)) return 0;
                     L[i][i] = sqrt(sum);
                 }
             }
+        memcpy(curved, is_beyond, (size_t)n);
         for (i = 0; i < n; i++) {
             double sum = r[i];
             for (j = 0; j < i; j++) sum -= L[i][j] * d[j];
@@ -628,36 +639,43 @@ static void mpc_qp_simulate(mpc_ctx *c, const double *dz) {
         }
 }
 
+/* A multiplier of its own for what is held; whether there is room. */
+static int mpc_qp_hold(mpc_qp *q, int *on, double price) {
+    if (q->n_on == MPC_N_ON) return 0;
+    q->price[MPC_N_TERMINAL + q->n_on] = price;
+    *on = q->n_on++;
+    return 1;
+}
+
 /* Soft limits by where each stands: beyond it, its price; on it, a multiplier of its own, as the
- * terminal constraint has. Whether there is room for all. */
+ * terminal constraint has. They are counted from the horizon's end: a change amid it leaves those
+ * beyond where they are. Whether there is room for all. */
 static int mpc_qp_weigh_touched(mpc_ctx *c) {
     const mpc_settings *s = &c->settings;
     mpc_qp *q = &c->qp;
-    int at;
+    int i, k;
     q->has_limits = q->n_on = 0;
-    for (at = 0; at < MPC_ROWS_SOFT; at++) {
-        const int touch = q->touch[at];
-        q->soft_weight[at] = q->soft_slope[at] = 0;
-        if (!touch) continue;
-        q->has_limits = 1;
-        if (touch == QP_BELOW || touch == QP_ABOVE) {
-            q->soft_weight[at] = 2 * s->soft_quadratic;
-            q->soft_slope[at] = q->soft_weight[at] * mpc_off_limit(c, at) +
-                                (touch < 0 ? -s->soft_linear : s->soft_linear);
-        } else {
-            if (q->n_on == MPC_N_ON) return 0;
-            q->price[MPC_N_TERMINAL + q->n_on] = q->touch_price[at];
-            q->on[at] = q->n_on++;
+    for (k = MPC_N - 1; k >= 0 && MPC_N_ON; k--) {
+        for (i = 0; i < MPC_N_LIMITED; i++) {
+            const int at = k * MPC_N_LIMITED + i, touch = q->touch[at];
+            q->soft_weight[at] = q->soft_slope[at] = 0;
+            if (!touch) continue;
+            q->has_limits = 1;
+            if (touch == QP_BELOW || touch == QP_ABOVE) {
+                q->soft_weight[at] = 2 * s->soft_quadratic;
+                q->soft_slope[at] = q->soft_weight[at] * mpc_off_limit(c, at) +
+                                    (touch < 0 ? -s->soft_linear : s->soft_linear);
+            } else if (!mpc_qp_hold(q, q->on + at, q->touch_price[at])) {
+                return 0;
+            }
         }
-    }
 #if MPC_RATES_LIMITED
-    for (at = 0; at < MPC_N_Z; at++)
-        if (q->fast[at]) {
-            if (q->n_on == MPC_N_ON) return 0;
-            q->price[MPC_N_TERMINAL + q->n_on] = 0;
-            q->on_rate[at] = q->n_on++;
+        for (i = 0; i < MPC_N_U && mpc_begins(k); i++) {
+            const int at = mpc_block[k] * MPC_N_U + i;
+            if (q->fast[at] && !mpc_qp_hold(q, q->on_rate + at, 0)) return 0;
         }
 #endif
+    }
     q->width = (QP_PRICES + MPC_N_TERMINAL + q->n_on + 3) / 4 * 4;
     return 1;
 }
@@ -699,7 +717,7 @@ static int mpc_qp_touch(mpc_ctx *c, int *last) {
             q->touch_turn[at] = (signed char)touch;
             if (touch == q->touch[at]) continue;
             wrong++;
-            if (k > *last) *last = k;
+            if (k >= *last) *last = k + 1; /* it enters before the period after */
         }
     return wrong;
 }
@@ -734,7 +752,7 @@ static int mpc_qp_turn_last(mpc_ctx *c) {
             const int at = k * MPC_N_LIMITED + i;
             if (q->touch_turn[at] == q->touch[at]) continue;
             mpc_qp_turn_limit(c, at);
-            return k;
+            return k + 1;
         }
         for (i = 0; i < MPC_N_U && mpc_begins(k); i++) {
             const int at = mpc_block[k] * MPC_N_U + i;
@@ -777,8 +795,7 @@ static int mpc_qp_pivot(mpc_ctx *c, int rounds, int all_at_once) {
         } else {
             last = mpc_qp_turn_last(c);
         }
-        /* columns of multipliers begin at the end of the horizon */
-        from = MPC_N_ON ? MPC_N - 1 : last;
+        from = last;
     }
     return 0;
 }
