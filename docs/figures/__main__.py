@@ -52,6 +52,10 @@ def _diagnosis(scratch: Path) -> None:
     block_diagrams.draw_diagnosis(HERE / "diagnosis.png")
 
 
+#: Of the program's pages, whatever screen they are made at.
+_SCREEN = {"TERM": "xterm", "COLUMNS": "100"}
+
+
 def _run(scratch: Path) -> None:
     program, settings = _installed(scratch)
     command = [program, "run", "controller=newton_mpc", "ref=square"]
@@ -83,7 +87,7 @@ def _installed(scratch: Path) -> tuple[str, dict[str, Any]]:
     bare name."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     program = shutil.which("trms", path=path) or "trms"
-    return program, {"cwd": scratch, "check": True, "env": os.environ | {"PATH": path}}
+    return program, {"cwd": scratch, "check": True, "env": os.environ | _SCREEN | {"PATH": path}}
 
 
 PARTS: dict[str, Callable[[Path], None]] = {

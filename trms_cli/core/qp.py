@@ -20,6 +20,8 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 
 _HARD, _EQUALITY, _SOFT = 0, 5, 8
+#: Violation of a row that DAQP leaves, and what it may leave where that leads nowhere.
+_PRIMAL_TOLERANCE, _SECOND_TOLERANCE = 1e-10, 1e-8
 _REASONS = {
     -1: "infeasible",
     -2: "cycling",
@@ -90,6 +92,13 @@ class Daqp:
 
     def solve(self, workspace: _Workspace, qp: Qp) -> QpResult:
         """See :class:`trms_cli.core.qp.QpSolver`."""
+        result = self._solve(workspace, qp, _PRIMAL_TOLERANCE)
+        if not result.solved:  # it may have cycled between active sets that are all but the same
+            result = self._solve(workspace, qp, _SECOND_TOLERANCE)
+            workspace.models.pop(qp.rows.shape, None)
+        return result
+
+    def _solve(self, workspace: _Workspace, qp: Qp, primal_tolerance: float) -> QpResult:
         size = qp.rows.shape
         model = workspace.models.get(size)
         if model is not None:
@@ -100,7 +109,7 @@ class Daqp:
             model = daqp.Model()
             model.settings = {
                 "iter_limit": self.max_iterations,
-                "primal_tol": 1e-10,
+                "primal_tol": primal_tolerance,
                 "dual_tol": 1e-12,
             }
             flag, _ = model.setup(qp.hessian, qp.gradient, qp.rows, qp.upper, qp.lower, _kinds(qp))

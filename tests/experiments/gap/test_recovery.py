@@ -36,10 +36,20 @@ HARDLY_VISIBLE = (
 )
 
 
+#: Of two effects that differ in their axis or rotor alone, one is tried here; all of them with
+#: ``python -m experiments.gap.recovery``.
+TWINS = {"yaw": "pitch", "main": "tail"}
+
+
+def _has_twin(name: str) -> bool:
+    side, _, law = name.partition("_")
+    return side in TWINS and f"{TWINS[side]}_{law}" in LIBRARY
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sides", [("pitch", "main", "ground"), ("yaw", "tail", "gyroscopic")])
-def test_every_effect_is_recovered_of_its_own_simulation(sides, tmp_path):
-    own = [name for name in LIBRARY if name.split("_")[0] in sides]
+def test_every_law_is_recovered_of_its_own_simulation(sides, tmp_path):
+    own = [name for name in LIBRARY if name.split("_")[0] in sides and not _has_twin(name)]
     recoveries = study(tmp_path, own, race=False, seed=20, jobs=2, factors=(1.0,))
     assert len(recoveries) == len(own)
     missed = [
