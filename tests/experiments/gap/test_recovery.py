@@ -29,9 +29,7 @@ def test_an_effect_is_recovered_where_size_and_score_are_the_rigs():
 #: At their typical sizes these hardly show in two minutes (a drive that warms up loses no more than
 #: gains wander by): their sizes come out, or nothing is claimed.
 HARDLY_VISIBLE = (
-    "main_supply_derating",
     "tail_supply_derating",
-    "main_rotor_friction",
     "tail_inflow",
 )
 
