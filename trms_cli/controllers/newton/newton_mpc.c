@@ -6,6 +6,7 @@
 
 #define MPC_ARMIJO 1e-4
 #define MPC_DOUBT 0.8     /* exponent of what is known of the convergence, from sample to sample */
+#define MPC_LEAST_SHARE 0.01 /* that a step is believed to leave: a plan against its bounds leaves none */
 #define MPC_EXPECTED 0.1 /* share of the tolerance that a converged plan is expected to be off */
 #define MPC_RELAXED_ABOVE 1e-3
 static const double mpc_step_lengths[] = {1.0, 0.5, 0.25, 0.1, 0.03, 0.01};
@@ -123,7 +124,7 @@ static void mpc_iterate(mpc_ctx *c, mpc_outcome *outcome) {
 /* Iterate from the present plan, which never gets worse in phi. */
 static void mpc_solve_from(mpc_ctx *c, mpc_outcome *outcome) {
     memset(outcome, 0, sizeof *outcome);
-    c->remaining_share = pow(c->remaining_share, MPC_DOUBT);
+    c->remaining_share = pow(fmax(c->remaining_share, MPC_LEAST_SHARE), MPC_DOUBT);
 #if MPC_RATES_LIMITED
     mpc_limit_rates(c);
 #endif

@@ -22,6 +22,8 @@ _STEP_LENGTHS = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 _EXPECTED = 0.1
 #: Exponent of what is known of the convergence, from sample to sample.
 _DOUBT = 0.8
+#: That a step is believed to leave: one of a plan against its bounds leaves none.
+_LEAST_SHARE = 0.01
 #: A step that goes a smaller share of the way to the steady-state input leaves it where it is.
 _STUCK = 0.02
 
@@ -171,7 +173,7 @@ class NewtonStep:
 
     def _solve(self, max_iterations: int, tolerance: float) -> NewtonResult:
         self._tolerance = tolerance
-        self.remaining_share **= _DOUBT
+        self.remaining_share = max(self.remaining_share, _LEAST_SHARE) ** _DOUBT
         if self._rate_limited:
             self.limit_rates(self.plan)
         outcome = NewtonResult(0, False, False, False, np.nan, np.nan, np.nan, np.nan, np.nan)
