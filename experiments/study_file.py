@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import yaml
@@ -13,7 +14,14 @@ from trms_cli.core.errors import ConfigurationError
 Kind = TypeVar("Kind")
 
 
-def read_as(kind: type[Kind], path: Path, example: str) -> Kind:
+def read_as(
+    kind: type[Kind],
+    path: Path,
+    example: str,
+    *,
+    quick: bool = False,
+    whole: Collection[str] = (),
+) -> Kind:
     """The content of a study file.
 
     Parameters
@@ -22,6 +30,10 @@ def read_as(kind: type[Kind], path: Path, example: str) -> Kind:
         A ``msgspec.Struct``.
     example : str
         A file of that kind, for the message.
+    quick : bool
+        Whether the values under its key ``quick``, if it has one, replace the others.
+    whole : collection of str
+        Keys whose mappings are replaced as a whole.
 
     Raises
     ------
@@ -29,10 +41,27 @@ def read_as(kind: type[Kind], path: Path, example: str) -> Kind:
         If the file is not one.
     """
     try:
-        return msgspec.convert(yaml.safe_load(path.read_text(encoding="utf-8")), kind)
-    except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        if isinstance(document, dict):
+            instead = document.pop("quick", {}) if "quick" not in kind.__annotations__ else {}
+            document = _merged(document, instead, whole) if quick else document
+        return msgspec.convert(document, kind)
+    except (OSError, AttributeError, yaml.YAMLError, msgspec.ValidationError) as error:
         raise ConfigurationError(
             f"this is no study: {str(error).splitlines()[0]}",
             where=str(path),
             remedy=f"compare it with {example}",
         ) from error
+
+
+def _merged(
+    base: dict[str, Any], instead: dict[str, Any], whole: Collection[str]
+) -> dict[str, Any]:
+    """Values replaced key by key; lists, and what is ``whole``, as a whole."""
+    merged = dict(base)
+    for key, value in instead.items():
+        current = merged.get(key)
+        if isinstance(current, dict) and isinstance(value, dict) and key not in whole:
+            value = _merged(current, value, whole)
+        merged[key] = value
+    return merged

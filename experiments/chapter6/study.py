@@ -8,12 +8,11 @@ from typing import Any
 import msgspec
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from experiments.chapter6.rig import state_at
 from experiments.expected_figures import Tolerance
+from experiments.study_file import read_as
 from trms_cli.controllers.newton_mpc import NewtonMpc
-from trms_cli.core.errors import ConfigurationError
 
 FloatArray = npt.NDArray[np.float64]
 HERE = Path(__file__).parent
@@ -142,26 +141,8 @@ def read_study(path: Path = STUDY, *, quick: bool = False) -> Study:
 
     Raises ConfigurationError if the file is not one.
     """
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-        instead = document.pop("quick", {})
-        return msgspec.convert(_merged(document, instead) if quick else document, Study)
-    except (OSError, AttributeError, TypeError, yaml.YAMLError, msgspec.ValidationError) as error:
-        raise ConfigurationError(
-            f"this is no study: {str(error).splitlines()[0]}",
-            where=str(path),
-            remedy="compare it with experiments/chapter6/study.yaml",
-        ) from error
-
-
-def _merged(base: dict[str, Any], instead: dict[str, Any]) -> dict[str, Any]:
-    """Values replaced key by key; lists and what has ``only`` beside it as a whole."""
-    merged = dict(base)
-    for key, value in instead.items():
-        current = merged.get(key)
-        both = isinstance(current, dict) and isinstance(value, dict) and key != "controllers"
-        merged[key] = _merged(current, value) if both else value  # type: ignore[arg-type]
-    return merged
+    example = "experiments/chapter6/study.yaml"
+    return read_as(Study, path, example, quick=quick, whole={"controllers"})
 
 
 def draw_states(

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
-import yaml
 
 from experiments.expected_figures import Tolerance
-from trms_cli.core.errors import ConfigurationError
+from experiments.study_file import read_as
 
 HERE = Path(__file__).parent
 STUDY = HERE / "study.yaml"
@@ -129,23 +128,5 @@ def read_study(path: Path = STUDY, *, quick: bool = False) -> Study:
 
     Raises ConfigurationError if the file is not one.
     """
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-        instead = document.pop("quick", {})
-        return msgspec.convert(_merged(document, instead) if quick else document, Study)
-    except (OSError, AttributeError, TypeError, yaml.YAMLError, msgspec.ValidationError) as error:
-        raise ConfigurationError(
-            f"this is no study: {str(error).splitlines()[0]}",
-            where=str(path),
-            remedy="compare it with experiments/model_study/study.yaml",
-        ) from error
-
-
-def _merged(base: dict[str, Any], instead: dict[str, Any]) -> dict[str, Any]:
-    """Values replaced key by key; lists as a whole."""
-    merged = dict(base)
-    for key, value in instead.items():
-        current = merged.get(key)
-        both = isinstance(current, dict) and isinstance(value, dict)
-        merged[key] = _merged(current, value) if both else value  # type: ignore[arg-type]
-    return merged
+    example = "experiments/model_study/study.yaml"
+    return read_as(Study, path, example, quick=quick)
