@@ -42,8 +42,9 @@ def read_as(
     """
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
-        if isinstance(document, dict):
-            instead = document.pop("quick", {}) if "quick" not in kind.__annotations__ else {}
+        has_mode = "quick" not in getattr(kind, "__annotations__", {"quick"})
+        if has_mode and isinstance(document, dict):
+            instead = document.pop("quick", {})
             document = _merged(document, instead, whole) if quick else document
         return msgspec.convert(document, kind)
     except (OSError, AttributeError, yaml.YAMLError, msgspec.ValidationError) as error:
