@@ -12,6 +12,7 @@ from trms_cli.controllers.linear_mpc import LinearMpc, LinearMpcState
 from trms_cli.controllers.newton.engine import NewtonEngine
 from trms_cli.controllers.newton.state import NewtonMpcState
 from trms_cli.controllers.newton_mpc import NewtonMpc
+from trms_cli.controllers.qp.riccati import Riccati
 from trms_cli.core.compilation import BufferedFunction, compiler
 from trms_cli.core.errors import SimulationError
 from trms_cli.core.qp import Daqp
@@ -245,3 +246,22 @@ def test_iterations_end_where_the_next_would_move_no_input_by_a_tenth_of_the_tol
     settled = slice(30, None)  # before, iterations shrink too slowly for that to be told
     assert np.median(iterations[settled], axis=0).tolist() == [2, 4]
     assert max(apart[settled]) < 0.1 * laws[0].tolerance
+
+
+@pytest.mark.parametrize("qp", [pytest.param(Riccati(), marks=needs_compiler), Daqp()])
+def test_a_plan_against_its_bounds_teaches_nothing_about_the_convergence_later(qp: Any) -> None:
+    short: dict[str, Any] = {"terminal": "none", "prediction_horizon": 4, "move_blocks": [1] * 4}
+    law = NewtonMpc(qp=qp, max_iterations=20, **short)
+    exact_law = replace(law, tolerance=1e-9, max_iterations=50)
+    engine, exact = (each.init(setup_of(MODEL, each.sample_time)) for each in (law, exact_law))
+    step = BufferedFunction(discretise(MODEL, law.sample_time, 5).step)
+    x, u = MODEL.rest(), np.zeros(2)
+    for k in range(20):
+        # far away first: the plan lies against its bounds, and a second step moves nothing at all
+        sample = sample_of(MODEL, [30.0, 30.0] if k < 3 else [0.2, 0.3], x, u)
+        near = law.step(engine, sample, want_prediction=False)
+        answer = exact_law.step(exact, sample, want_prediction=False)
+        assert near.u == pytest.approx(answer.u, abs=10 * law.tolerance)
+        assert k != 3 or 1 < near.iterations < answer.iterations
+        u = near.u
+        x = step.evaluate(x, u, MODEL.parameters.values, np.zeros(MODEL.n_w))[0].copy()
