@@ -1,6 +1,6 @@
 """Does each effect recover its own simulation? Rigs of the other code, one candidate, three sizes.
 
-    python -m experiments.gap.recovery OUT [EFFECT …] [--race] [--seed N] [--jobs N]
+    python -m experiments.gap.recovery OUT [EFFECT …] [--race] [--effort quick] [--seed N]
 
 Each rig of :mod:`.blind.rig` has one effect of the library, at half, once and twice a typical size,
 and the nuisances of all rigs. ``trms diagnose`` gets its recording with that effect as the only
@@ -142,16 +142,18 @@ def study(
     seed: int,
     jobs: int,
     factors: Sequence[float] = FACTORS,
+    effort: str = "normal",
 ) -> list[Recovery]:
     """Record, diagnose, read; a rig that cannot be diagnosed is told, and not in the list."""
     cases = cases_of(effects, seed, factors)
     write_recordings(cases, out / "recordings", seed)
-    answers = out / ("race" if race else "alone")
+    competition = "race" if race else "alone"
+    answers = out / (competition if effort == "normal" else f"{competition}_{effort}")
     answers.mkdir(exist_ok=True)
     waiting = [n for n in cases if not (answers / n / "diagnosis.json").is_file()]
     for effect in dict.fromkeys(next(iter(cases[name].effects)) for name in waiting):
         files = [out / "recordings" / f"{n}.csv" for n in waiting if effect in cases[n].effects]
-        words = [] if race else [f"candidates=[{effect}]"]
+        words = [f"effort={effort}", *([] if race else [f"candidates=[{effect}]"])]
         for name, why in diagnose_all(files, answers, words, jobs, _say).items():
             _say(name, f"not diagnosed: {why}")
     return [
@@ -172,6 +174,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("effects", nargs="*", default=[])
     parser.add_argument("--race", action="store_true", help="the whole library competes")
+    parser.add_argument("--effort", choices=("quick", "normal", "thorough"), default="normal")
     parser.add_argument("--seed", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args(argv)
@@ -180,7 +183,12 @@ def main(argv: Sequence[str]) -> int:
     if unknown:
         parser.error(f"no effect {unknown[0]!r}; there are: {', '.join(LIBRARY)}")
     recoveries = study(
-        arguments.out, effects, race=arguments.race, seed=arguments.seed, jobs=arguments.jobs
+        arguments.out,
+        effects,
+        race=arguments.race,
+        seed=arguments.seed,
+        jobs=arguments.jobs,
+        effort=arguments.effort,
     )
     sys.stdout.write(table_of(recoveries))
     complete = len(recoveries) == len(cases_of(effects, arguments.seed))
