@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -45,7 +45,7 @@ def read_as(
         has_mode = "quick" not in getattr(kind, "__annotations__", {"quick"})
         if has_mode and isinstance(document, dict):
             instead = document.pop("quick", {})
-            document = _merged(document, instead, whole) if quick else document
+            document = merged(document, instead, whole) if quick else document
         return msgspec.convert(document, kind)
     except (OSError, AttributeError, yaml.YAMLError, msgspec.ValidationError) as error:
         raise ConfigurationError(
@@ -55,14 +55,14 @@ def read_as(
         ) from error
 
 
-def _merged(
-    base: dict[str, Any], instead: dict[str, Any], whole: Collection[str]
+def merged(
+    base: Mapping[str, Any], instead: Mapping[str, Any], whole: Collection[str] = ()
 ) -> dict[str, Any]:
     """Values replaced key by key; lists, and what is ``whole``, as a whole."""
-    merged = dict(base)
+    result = dict(base)
     for key, value in instead.items():
-        current = merged.get(key)
-        if isinstance(current, dict) and isinstance(value, dict) and key not in whole:
-            value = _merged(current, value, whole)
-        merged[key] = value
-    return merged
+        current = result.get(key)
+        if isinstance(current, Mapping) and isinstance(value, Mapping) and key not in whole:
+            value = merged(current, value, whole)
+        result[key] = value
+    return result

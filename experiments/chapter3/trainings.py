@@ -13,6 +13,7 @@ import yaml
 
 from experiments.chapter3.methods import method, option
 from experiments.chapter3.recordings import recording
+from experiments.study_file import merged
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.plugins import build
 from trms_cli.identification.blackbox.prediction_error import (
@@ -99,10 +100,10 @@ def run_job(job: Job, short: float = 1.0) -> TrainingResult:
     # Loaded before any time is taken.
     from scipy import cluster, linalg, optimize  # noqa: F401
 
-    changes = _merged(settings()["method"], settings()["systems"][job.system]["method"])
+    changes = merged(settings()["method"], settings()["systems"][job.system]["method"])
     if job.method in ("rbf", "wavelet"):
         changes.pop("hidden", None)
-    changes = _merged(changes, job.changes)
+    changes = merged(changes, job.changes)
     fitted = make_recording(job.system, "fitted", short)
     if job.excitation is not None:
         fitted = recording(
@@ -162,13 +163,3 @@ def _errors(structure: Structure, samples: Samples, played: FloatArray) -> dict[
         name: float(error) if np.isfinite(error) else float("inf")
         for name, error in zip(structure.outputs, errors, strict=True)
     }
-
-
-def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Mappings merged key by key, all else replaced."""
-    result = dict(base)
-    for key, value in changes.items():
-        if isinstance(value, Mapping) and isinstance(result.get(key), Mapping):
-            value = _merged(result[key], value)
-        result[key] = value
-    return result
