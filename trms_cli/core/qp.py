@@ -18,10 +18,11 @@ import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.core.ranges import Positive
 
 _HARD, _EQUALITY, _SOFT = 0, 5, 8
-#: Violation of a row that DAQP leaves, and what it may leave where that leads nowhere.
-_PRIMAL_TOLERANCE, _SECOND_TOLERANCE = 1e-10, 1e-8
+#: Violation of a row that DAQP may leave where what it is asked for leads nowhere.
+_SECOND_TOLERANCE = 1e-8
 _REASONS = {
     -1: "infeasible",
     -2: "cycling",
@@ -85,6 +86,7 @@ class Daqp:
     """DAQP."""
 
     max_iterations: Annotated[int, Meta(ge=1)] = 1000  #: Changes of the active set
+    primal_tolerance: Positive = 1e-10  #: Violation of a row that it leaves
 
     def start(self) -> _Workspace:
         """A fresh workspace."""
@@ -92,7 +94,7 @@ class Daqp:
 
     def solve(self, workspace: _Workspace, qp: Qp) -> QpResult:
         """See :class:`trms_cli.core.qp.QpSolver`."""
-        result = self._solve(workspace, qp, _PRIMAL_TOLERANCE)
+        result = self._solve(workspace, qp, self.primal_tolerance)
         if not result.solved:  # it may have cycled between active sets that are all but the same
             result = self._solve(workspace, qp, _SECOND_TOLERANCE)
             workspace.models.pop(qp.rows.shape, None)
