@@ -67,7 +67,7 @@ def _ratios(main: Ranking) -> Any:
     panel.set_xlim(0.97 * left, 1.03 * right)
     _ticks(panel, left, right)
     panel.set_yticks(range(len(entrants)), [_label(standing) for standing in entrants])
-    panel.set_ylim(len(entrants) - 0.5, -0.5)
+    panel.set_ylim(len(entrants) - 0.5, -0.8)  # the legend begins just below the top
     panel.grid(axis="y", visible=False)
     panel.set_xlabel("RMSE over the best entrant's in the same condition (bar: geometric mean)")
     if any(classes):
@@ -76,7 +76,7 @@ def _ratios(main: Ranking) -> Any:
 
 
 def _effects(results: Results) -> Any:
-    """Entrants × effects: geometric mean over the references of the error over the best."""
+    """Ranked entrants × effects: geometric mean over the references of the error over the best."""
     from matplotlib.colors import LinearSegmentedColormap
 
     from trms_cli.reporting.style import INK, PALETTE, PAPER, SOME, new_figure
@@ -84,7 +84,7 @@ def _effects(results: Results) -> Any:
     ranking = results.classes.get("effect")
     if ranking is None:
         return None
-    entrants = list(ranking.standings)
+    entrants = [standing for standing in ranking.standings if standing.rank is not None]
     tables = [by_rig(ranking, standing.name) for standing in entrants]
     rigs = sorted(dict.fromkeys(rig for table in tables for rig in table))
     values = np.array([[table.get(rig, np.nan) for table in tables] for rig in rigs])
@@ -116,37 +116,50 @@ def _effects(results: Results) -> Any:
 
 def _cost(main: Ranking) -> Any:
     """How far behind against how much the commands move, and how long a step takes."""
-    from trms_cli.reporting.style import COLOURS, GREY, new_figure
+    from trms_cli.reporting.style import COLOURS, GREY, INK, new_figure
 
-    figure = new_figure(9.5, 5.0)
-    panels = figure.subplots(1, 2, sharey=True)
+    figure = new_figure(11.0, 5.0)
+    *panels, key = figure.subplots(1, 3, width_ratios=[1, 1, 0.55])
     entrants = [standing for standing in main.standings if np.isfinite(standing.ratio)]
+    marks = _marks(entrants)
     for panel, figure_name, words in (
         (panels[0], "variation", "mean Σ|Δu| of a run [V]"),
         (panels[1], "step_ms", "median time of a control step [ms]"),
     ):
         points = []
-        for standing in entrants:
+        for standing, mark in zip(entrants, marks, strict=True):
             x = getattr(figures_of(standing, main.metric), figure_name)
             ranked = standing.rank is not None
             panel.plot(x, standing.ratio, "o" if ranked else "s", ms=5,
                        color=COLOURS[0] if ranked else GREY)  # fmt: skip
-            points.append((x, standing.ratio, standing.name.replace(" + ukf", "")))
+            points.append((x, standing.ratio, mark))
         panel.set_xscale("log")
-        panel.margins(x=0.35, y=0.12)
+        panel.margins(x=0.12, y=0.12)
         panel.autoscale_view()
         _plain(panel.xaxis)
         _name(panel, points)
         panel.set_xlabel(words)
+    panels[1].sharey(panels[0])
+    panels[1].tick_params(labelleft=False)
     panels[0].set_ylabel("RMSE over the best")
-    panels[0].set_title("with ukf unless another observer is named; grey: not ranked")
+    panels[0].set_title("with ukf unless another observer is named; squares: not ranked")
+    key.set_axis_off()
+    for row, (standing, mark) in enumerate(zip(entrants, marks, strict=True)):
+        height = 1.0 - row / max(len(entrants) - 1, 18)
+        look = {"va": "center", "fontsize": 8, "transform": key.transAxes}
+        key.text(0.06, height, mark, ha="right", weight="bold", color=INK, **look)
+        key.text(0.1, height, standing.name.replace(" + ukf", ""), color=INK, **look)
     return figure
 
 
-def _name(panel: Any, points: Sequence[tuple[float, float, str]]) -> None:
-    """Names beside their points, moved up where they would lie on another name or point."""
-    from trms_cli.reporting.style import GREY
+def _marks(entrants: Sequence[Standing]) -> list[str]:
+    """What stands for each entrant: its rank, or a letter without one."""
+    letters = iter("abcdefghijklmnopqrstuvwxyz")
+    return [str(one.rank) if one.rank is not None else next(letters) for one in entrants]
 
+
+def _name(panel: Any, points: Sequence[tuple[float, float, str]]) -> None:
+    """Marks beside their points, moved up where they would lie on another mark or point."""
     size = 7.0  # points
     scale = 72.0 / panel.figure.dpi
     panel.figure.draw_without_rendering()
@@ -155,20 +168,12 @@ def _name(panel: Any, points: Sequence[tuple[float, float, str]]) -> None:
     for (x, y, name), (centre, height) in sorted(
         zip(points, places, strict=True), key=lambda pair: float(pair[1][1])
     ):
-        begin, end, at = centre + 6.0, centre + 6.0 + 0.6 * size * len(name), height - 2.0
-        while any(begin < r and b < end and abs(at - h) < 1.2 * size for b, r, h in boxes):
+        begin, end, at = centre + 5.0, centre + 8.0 + 0.6 * size * len(name), height - 2.0
+        while any(begin < r and b < end and abs(at - h) < 1.1 * size for b, r, h in boxes):
             at += 1.0
         boxes.append((begin, end, at))
-        # a name that had to go elsewhere is tied to its point
-        far = at - height > size
-        tie = {"arrowstyle": "-", "lw": 0.5, "color": GREY, "relpos": (0, 0), "shrinkB": 3}
         panel.annotate(
-            name,
-            (x, y),
-            xytext=(6, at - height),
-            textcoords="offset points",
-            fontsize=size,
-            arrowprops=tie if far else None,
+            name, (x, y), xytext=(5, at - height), textcoords="offset points", fontsize=size
         )
 
 
