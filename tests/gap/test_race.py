@@ -126,6 +126,7 @@ def test_a_rig_without_a_gap_gives_no_candidate_a_lead():
     assert np.all(race.refit.metric.shares[:4] < 0.015)
 
 
+@pytest.mark.slow
 def test_a_race_that_was_interrupted_ends_where_it_would_have(friction):
     checkpoint_state: dict = {}
     dataset = rubbing()
@@ -292,6 +293,7 @@ def test_friction_that_begins_is_found_with_its_moment_and_size():
     assert scores[1] == pytest.approx(scores[0], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_an_encoder_that_slips_is_found_at_its_moment():
     """It shows in one sample; the moment missing there makes yaw look as if it were pushed."""
     slipped = {"yaw_sensor_bias": effect("yaw_sensor_bias", bias=-0.025)}
@@ -307,6 +309,7 @@ def test_an_encoder_that_slips_is_found_at_its_moment():
     assert best.fit.score > race.refit.fit.score + 500
 
 
+@pytest.mark.slow
 def test_friction_throughout_has_no_beginning(friction):
     assert all(begins_at(entry) is None for entry in friction.entries)
     race = raced(rubbing(), effort=Effort(4, 3, 2, 2))
@@ -360,6 +363,7 @@ def test_axes_that_are_held_are_told_in_one_sentence():
     assert both.startswith("pitch and yaw are each held at one point (−0.5 rad for 100 % of")
 
 
+@pytest.mark.slow
 def test_weak_friction_is_found_with_precise_sensors():
     """A search that trusts five microradians goes astray where friction is a tenth of the usual."""
     rig = {"yaw_coulomb_friction": effect("yaw_coulomb_friction", torque=0.0004)}
