@@ -121,7 +121,7 @@ chapter8: $(READY) ## study: robust MPC by linear matrix inequalities
 model-study: $(READY) ## study: which model is best for control, on rigs of other code (RECORDS=folder of the TRAS record)
 	@$(BIN)/python -m experiments.model_study --record '$(RECORDS)' $(ARGS)
 
-tournament: $(READY) ## all controllers, observers, references and rigs crossed and ranked (an hour)
+tournament: $(READY) ## all controllers, observers, references and rigs crossed and ranked (20 minutes on two quiet cores)
 	@$(BIN)/python -m experiments.tournament $(ARGS)
 
 robustness: $(READY) ## study: three controllers on 200 rigs drawn from the priors, a tuned newton_mpc

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -109,6 +110,7 @@ def _agreement(options: Options, program: str | None) -> Table:
             Column("loop", "loop"),
             Column("difference", "difference", "V", 2),
             Column("itself", "NumPy to itself", "V", 2),
+            Column("closer", "with a closer DAQP", "V", 2),
             Column("samples", "samples"),
             *LIMIT,
         ],
@@ -126,6 +128,7 @@ def _agreement(options: Options, program: str | None) -> Table:
         example = _Example(loop_setup)
         measured = example.measured(program, passes=1)
         itself = rounding_difference(example.controller, example.setup, example.rows)
+        closer = replace(example.controller, qp=_CLOSER)
         # What changes NumPy so much in the last bit of an estimate has no nearer neighbour.
         table.add_limited(
             "difference",
@@ -133,12 +136,14 @@ def _agreement(options: Options, program: str | None) -> Table:
             max(_ROUNDING, 10 * itself),
             loop=name,
             itself=itself,
+            closer=_difference(closer, example.setup, example.rows, lambda x: x),
             samples=measured.samples,
         )
     table.notes.append(
-        "“NumPy to itself”: the same samples again, each estimate changed in its last bit, or DAQP "
-        f"asked for a tenth of its tolerance. The limit is {_ROUNDING:g} V, or ten times that "
-        "difference. Where ten iterations do not converge, what a solver leaves is amplified."
+        "“NumPy to itself”: the same loop again with each estimate changed in its last bit. The "
+        f"limit is {_ROUNDING:g} V, or ten times that difference. “With a closer DAQP”: with DAQP "
+        "asked for a tenth of its tolerance. Where ten iterations do not converge, they amplify "
+        "what a solver leaves."
     )
     return table
 
@@ -258,26 +263,33 @@ class _Example:
 
 
 def rounding_difference(controller: NewtonMpc, setup: ControlSetup, rows: FloatArray) -> float:
-    """How far the controller in NumPy is from itself, V; no other can be expected to be nearer.
+    """How far the controller in NumPy is from itself when estimates change in their last bit, V.
 
-    The larger difference of two: estimates change in their last bit, or DAQP leaves a tenth of what
-    it otherwise leaves of a row. Either is amplified where the iteration ends by its cap: ten steps
-    that do not converge carry 1e-11 V of a program's solution to 1e-6 V, and where rows are all but
-    tied to 1e-4 V.
+    No other implementation can be expected to be nearer.
 
     ``rows``: (samples, n) array; from :func:`trms_cli.code_generation.export.example_rows`.
     """
-    model = setup.model
+    draw = np.random.default_rng(0)
+    return _difference(
+        controller, setup, rows, lambda x: np.nextafter(x, draw.choice([-np.inf, np.inf], len(x)))
+    )
+
+
+def _difference(
+    controller: NewtonMpc,
+    setup: ControlSetup,
+    rows: FloatArray,
+    changed: Callable[[FloatArray], FloatArray],
+) -> float:
+    """How far commands are from those of the rows, V; ``changed``: the estimate, (n_x,) array."""
+    model, state = setup.model, controller.init(setup)
     preview = controller.preview(setup)
     sizes = [model.n_x, model.n_w, len(model.controlled) * (preview + 1), model.n_u]
-    usual, closer = controller.init(setup), replace(controller, qp=_CLOSER).init(setup)
-    draw, largest = np.random.default_rng(0), 0.0
+    largest = 0.0
     for k, row in enumerate(rows):
         x, w, r, u, example_command = np.split(row, np.cumsum(sizes))
-        moved = np.nextafter(x, draw.choice([-np.inf, np.inf], len(x)))
-        for state, near in ((usual, moved), (closer, x)):
-            estimate = Estimate(near, 0 * x, w, 0 * w)
-            sample = ControlSample(k * setup.sample_time, r.reshape(preview + 1, -1), estimate, u)
-            command = controller.step(state, sample, want_prediction=False)
-            largest = max(largest, float(np.abs(command.u - example_command).max()))
+        estimate = Estimate(changed(x), 0 * x, w, 0 * w)
+        sample = ControlSample(k * setup.sample_time, r.reshape(preview + 1, -1), estimate, u)
+        command = controller.step(state, sample, want_prediction=False)
+        largest = max(largest, float(np.abs(command.u - example_command).max()))
     return largest
