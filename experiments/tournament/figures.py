@@ -11,6 +11,8 @@ import numpy as np
 from experiments.tournament.verdict import CLASS, Results, by_rig
 from trms_cli.scoring.comparison.ranking import Ranking, Standing, figures_of
 
+#: Of a picture: translucent points of four classes need more than lines do.
+_COLOURS = 256
 NAMES = ("ratios.png", "effects.png", "cost.png")
 #: Where axes and colours of ratios end; what is beyond is drawn at the edge and said in words.
 _LARGEST, _DARKEST = 10.0, 1.5
@@ -29,7 +31,7 @@ def draw(results: Results, folder: Path) -> list[Path]:
             (NAMES[2], _cost(results.main)),
         ):
             if figure is not None:
-                save_png(figure, folder / name)
+                save_png(figure, folder / name, _COLOURS)
                 paths.append(folder / name)
     return paths
 
