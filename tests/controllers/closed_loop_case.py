@@ -14,7 +14,7 @@ from trms_cli.controllers.controller import Command, ControlSample, ControlSetup
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
-from trms_cli.models.model import Model, RigAxis, Signal
+from trms_cli.models.model import Model, RigAxis, RigRotor, Signal
 from trms_cli.models.parameters import Parameter, ParameterSet
 
 #: Of controllers that take the period of the loop, s.
@@ -156,7 +156,7 @@ class DoubleMass(Model):
         self.input_limits = {"f1": limit, "f2": limit}
         self.stops: dict[str, float] = {}
         self.axes: dict[str, RigAxis] = {}
-        self.rotors: dict[str, str] = {}
+        self.rotors: dict[str, RigRotor] = {}
 
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         k, d = p[0], p[1]

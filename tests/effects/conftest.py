@@ -13,7 +13,7 @@ from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.discretisation import discretise
-from trms_cli.models.model import Model, RigAxis, Signal
+from trms_cli.models.model import Model, RigAxis, RigRotor, Signal
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import Parameter, ParameterSet
 
@@ -50,7 +50,7 @@ class Turntable(Model):
             "pitch": RigAxis("alpha_v", "pitch_moment"),
             "yaw": RigAxis("alpha_h", "yaw_moment"),
         }
-        self.rotors = {"main": "u_v", "tail": "u_h"}
+        self.rotors = {"main": RigRotor("u_v", axis="pitch"), "tail": RigRotor("u_h", axis="yaw")}
 
     def dynamics(self, x, u, p, w):
         return ca.vertcat(

@@ -97,9 +97,9 @@ class TestStates:
             np.ones(1),
         )
         model = Narx(made, network, limits=LIMITS)
-        assert (list(model.axes), model.rotors, model.controlled) == (
+        assert (list(model.axes), list(model.rotors), model.controlled) == (
             ["yaw"],
-            {"tail": "u_h"},
+            ["tail"],
             ("alpha_h",),
         )
         assert model.stops == {"alpha_h": 2.8}

@@ -9,7 +9,7 @@ import numpy as np
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
-from trms_cli.models.model import Model, RigAxis, Signal, names
+from trms_cli.models.model import Model, RigAxis, RigRotor, Signal, names
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.observers.observer import Observer, ObserverSetup
 
@@ -36,7 +36,7 @@ class Pendulum(Model):
         self.input_limits = {"u": 1.0}
         self.stops = {"angle": np.inf}
         self.axes = {"swing": RigAxis("angle", "moment")}
-        self.rotors = {"motor": "u"}
+        self.rotors = {"motor": RigRotor("u")}
 
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         return ca.vertcat(

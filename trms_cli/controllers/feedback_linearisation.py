@@ -119,21 +119,22 @@ def virtual_moments(model: Model) -> VirtualMoments:
     axes = [name for name, axis in model.axes.items() if axis.angle in model.controlled]
     if not axes or len(axes) != len(model.controlled):
         raise _refusal(model, "controls something else than the angles of its axes")
-    rotors, arms, thrusts = [], [], []
+    turning, rotors, arms, thrusts = [], [], [], []
     for name in axes:
-        rotor = ROTOR_OF_AXIS.get(name, "")
+        rotor = model.rotor_of(name)
         thrust, arm = (quantities.get(f"{what}_{rotor}") for what in ("thrust", "arm"))
-        if thrust is None or arm is None or rotor not in model.rotors:
+        if thrust is None or arm is None or rotor is None:
             raise _refusal(model, f"says nothing of a thrust that moves {name}")
         on = np.flatnonzero(np.array(ca.DM(ca.jacobian(thrust, x).sparsity()).full()))
         if len(on) != 1:
             raise _refusal(model, f"has no single rotor speed that the thrust on {name} follows")
+        turning.append(rotor)
         rotors.append(int(on[0]))
         thrusts.append(thrust)
         arms.append(arm)
     angles = [model.state_index(model.axes[name].angle) for name in axes]
     moments = [names(model.disturbances).index(model.axes[name].moment) for name in axes]
-    channels = [names(model.inputs).index(model.rotors[ROTOR_OF_AXIS[name]]) for name in axes]
+    channels = [names(model.inputs).index(model.rotors[rotor].input) for rotor in turning]
 
     f = model.dynamics(x, u, p, w)
     rate = f[angles]

@@ -21,7 +21,6 @@ import numpy as np
 
 from trms_cli.controllers.pid_feed_forward import (
     INVERTED,
-    ROTOR_OF_AXIS,
     PathMemory,
     PiecewiseLinear,
     RotorTables,
@@ -111,7 +110,7 @@ class PidDesign:
                 where="controller",
                 remedy="choose newton_mpc or lqr",
             )
-        channels = {name: _channel(model, name) for name in model.axes}
+        channels = {name: holding_input(model, name) for name in model.axes}
         steady = SteadyState(model)
         tables = rotor_tables(model, channels, steady)
         constant = model.path_memory
@@ -270,16 +269,16 @@ def _responses(
     return [AxisPlant(A, B[:, channel], C[row], step).response(z) for A, B, C in systems]
 
 
-def _channel(model: Model, axis: str) -> int:
+def holding_input(model: Model, axis: str) -> int:
     """Input of the rotor that holds an axis.
 
     Raises ConfigurationError for a model with an axis or rotors of other names.
     """
-    rotor = ROTOR_OF_AXIS.get(axis, "")
-    if rotor not in model.rotors:
+    rotor = model.rotor_of(axis)
+    if rotor is None:
         raise ConfigurationError(
             f"no rotor of model {model.name!r} is known to hold its axis {axis!r}",
             where="controller",
             remedy="pid knows the axes pitch and yaw with the rotors main and tail; try lqr",
         )
-    return names(model.inputs).index(model.rotors[rotor])
+    return names(model.inputs).index(model.rotors[rotor].input)

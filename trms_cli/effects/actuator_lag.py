@@ -5,7 +5,6 @@ lagged command is known exactly; each integration step receives its mean over th
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import casadi as ca
 
@@ -20,7 +19,7 @@ from trms_cli.models.parameters import Parameter
 class ActuatorLag(Effect):
     """Lag of one command."""
 
-    rotor: Literal["main", "tail"]
+    rotor: str  #: Name of a rotor of the model
     time_constant: NotNegative  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:

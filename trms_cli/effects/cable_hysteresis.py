@@ -11,7 +11,7 @@ takes energy out of every closed cycle.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import casadi as ca
 from msgspec import Meta
@@ -29,7 +29,7 @@ _NARROWEST = 1e-3
 class CableHysteresis(Effect):
     """Bouc–Wen hysteresis."""
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     torque: NotNegative  #: T, N m: half the height of the loop
     #: rad: the travel after a reversal over which the torque turns
     width: Annotated[float, Meta(ge=_NARROWEST)]

@@ -5,7 +5,7 @@ travel; ``α₀`` is where it hangs free.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import casadi as ca
 from msgspec import Meta
@@ -19,7 +19,7 @@ from trms_cli.models.parameters import Parameter
 class CableStiffness(Effect):
     """A spring that may harden."""
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     stiffness: NotNegative  #: k, N m/rad
     cubic: NotNegative = 0.0  #: k₃, N m/rad³
     neutral: Annotated[float, Meta(ge=-3.2, le=3.2)] = 0.0  #: α₀, rad

@@ -5,7 +5,7 @@ tells it, and it corrects a model.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import casadi as ca
 from msgspec import Meta
@@ -20,7 +20,7 @@ class ConstantTorque(Effect):
 
     explains: ClassVar[bool] = False
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     torque: Annotated[float, Meta(ge=-1e3, le=1e3)] = 0.01  #: N m
 
     def parameters(self) -> tuple[Parameter, ...]:

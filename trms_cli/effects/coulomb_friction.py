@@ -4,7 +4,6 @@
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import casadi as ca
 
@@ -17,7 +16,7 @@ from trms_cli.models.parameters import Parameter
 class CoulombFriction(Effect):
     """Coulomb friction."""
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     torque: NotNegative  #: F_c, N m
 
     def parameters(self) -> tuple[Parameter, ...]:

@@ -5,7 +5,6 @@ that needs ``d`` before it moves), so that the drive stays continuous.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import casadi as ca
 
@@ -19,7 +18,7 @@ from trms_cli.models.parameters import Parameter
 class DeadZone(Effect):
     """Dead zone of one command."""
 
-    rotor: Literal["main", "tail"]
+    rotor: str  #: Name of a rotor of the model
     width: NotNegative  #: d, V: to either side of zero
 
     def parameters(self) -> tuple[Parameter, ...]:

@@ -9,7 +9,7 @@ the noise as its process noise; without one it decays. It is estimated, not expl
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import casadi as ca
 from msgspec import Meta
@@ -27,7 +27,7 @@ _SHORTEST = 0.05
 class Disturbance(Effect):
     """Coloured torque; it begins at zero."""
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     torque: NotNegative  #: σ, N m: standard deviation in the long run
     time: Annotated[float, Meta(ge=_SHORTEST)]  #: τ, s: time over which it forgets itself
 

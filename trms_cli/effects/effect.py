@@ -17,7 +17,7 @@ import casadi as ca
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ModelError
-from trms_cli.models.dry_friction import SPEEDS, apply_dry_friction, axis_of, moment_index
+from trms_cli.models.dry_friction import apply_dry_friction, axis_of, moment_index
 from trms_cli.models.model import Model, RigAxis, Signal, Window, index_of, names
 from trms_cli.models.parameters import Parameter
 
@@ -229,7 +229,7 @@ class SensorEffect(Effect):
             return output_row(model, axis_of(model, self.axis).angle)
         assert hasattr(self, "rotor")
         rotor_input(model, self.rotor)
-        return output_row(model, SPEEDS[self.rotor])
+        return output_row(model, model.rotors[self.rotor].speed)
 
     def check(self, model: Model) -> None:
         self.row(model)
@@ -283,7 +283,7 @@ def rotor_input(model: Model, rotor: str) -> int:
             f"model {model.name!r} has no {rotor} rotor",
             remedy=f"it has: {', '.join(model.rotors) or 'none'}",
         )
-    return index_of(model.inputs, model.rotors[rotor], "an input")
+    return index_of(model.inputs, model.rotors[rotor].input, "an input")
 
 
 def speed_row(model: Model, rotor: str) -> int:
@@ -292,18 +292,18 @@ def speed_row(model: Model, rotor: str) -> int:
     Raises ModelError if the model has no such rotor, or its speed is no state.
     """
     rotor_input(model, rotor)
-    name = SPEEDS[rotor]
-    if name not in model.state_names:
+    if rotor not in model.rotor_speeds:
         raise ModelError(
-            f"model {model.name!r} has no state {name!r}, the speed of the {rotor} rotor",
+            f"model {model.name!r} has no state that is the speed of the {rotor} rotor",
             remedy=f"it has: {', '.join(model.state_names)}",
         )
-    return model.state_index(name)
+    return model.state_index(model.rotor_speeds[rotor])
 
 
 def motor_disturbance(model: Model, rotor: str) -> int:
     """Position in ``w`` of the torque on a rotor."""
-    return index_of(model.disturbances, f"{rotor}_motor", f"a disturbance of model {model.name!r}")
+    torque = model.rotors[rotor].torque
+    return index_of(model.disturbances, torque, f"a disturbance of model {model.name!r}")
 
 
 def output_row(model: Model, name: str) -> int:

@@ -12,7 +12,7 @@ is too high for the step.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import casadi as ca
 from msgspec import Meta
@@ -29,7 +29,7 @@ _SLOWEST = 0.1
 class FlexibleMode(SensorEffect):
     """A flexible mode in one measured angle."""
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     share: Annotated[float, Meta(ge=0, le=10)]  #: c: how much of the deflection is seen
     frequency: Annotated[float, Meta(ge=_SLOWEST)]  #: ω₀/2π, Hz
     damping: Annotated[float, Meta(ge=0, le=0.9)]  #: ζ

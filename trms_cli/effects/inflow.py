@@ -10,13 +10,13 @@ proportion to the speed of the rotor, whichever way it turns.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import casadi as ca
 
 from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.effect import EffectContext
-from trms_cli.effects.thrust import AXIS, ThrustEffect
+from trms_cli.effects.thrust import ThrustEffect
 from trms_cli.models.parameters import Parameter
 
 #: (rad/s)²: keeps F/ω, which is zero at rest, free of a division by zero.
@@ -29,7 +29,7 @@ class Inflow(ThrustEffect):
 
     may_begin: ClassVar[bool] = False
 
-    rotor: Literal["main", "tail"]
+    rotor: str  #: Name of a rotor of the model
     #: k, rad/m: speed of the rotor over the axial speed that would take all its thrust
     coefficient: NotNegative
 
@@ -39,5 +39,5 @@ class Inflow(ThrustEffect):
     def disturbance(self, at: EffectContext) -> ca.SX:
         omega = at.speed(self.rotor)
         per_speed = at.quantity(f"thrust_{self.rotor}") * omega / ca.fmax(omega**2, _AT_REST)
-        axial = at.quantity(f"arm_{self.rotor}") * at.rate(AXIS[self.rotor])
+        axial = at.quantity(f"arm_{self.rotor}") * at.rate(at.model.rotors[self.rotor].axis)
         return self.torque(at, -at.sizes["coefficient"] * axial * per_speed)

@@ -7,7 +7,6 @@ differentiable almost everywhere) as a parameter.
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import casadi as ca
 
@@ -21,7 +20,7 @@ from trms_cli.models.parameters import Parameter
 class InputDelay(Effect):
     """Transport delay of one command."""
 
-    rotor: Literal["main", "tail"]
+    rotor: str  #: Name of a rotor of the model
     delay: NotNegative  #: s
     #: Bound of the delay, s; the past commands that are kept reach back this far
     longest: Positive = 0.2

@@ -17,7 +17,7 @@ the beam stands still, and ``l F`` the moment of the axis' own rotor. At the rat
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import casadi as ca
 from msgspec import Meta
@@ -42,7 +42,7 @@ class ModelForm(Effect):
 
     #: It says by how much a model errs, and is no candidate unless it is asked for
     explains: ClassVar[bool] = False
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     damping: Departure = 0.0  #: d, added to the exponent of damping
     thrust: Departure = 0.0  #: e, added to the exponent of thrust
     spring: Departure = 0.0  #: h, 1/rad²

@@ -1,7 +1,6 @@
 """Quadratic damping of an axis: air drag of the moving beam, ``τ = −c Ω|Ω|``."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import casadi as ca
 
@@ -14,7 +13,7 @@ from trms_cli.models.parameters import Parameter
 class QuadraticDamping(Effect):
     """Damping that grows with the square of the rate."""
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     coefficient: NotNegative  #: c, N m s²/rad²
 
     def parameters(self) -> tuple[Parameter, ...]:

@@ -6,7 +6,6 @@ itself (the straight-through derivative: that of the mean over a quantum), and n
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import casadi as ca
 
@@ -23,7 +22,7 @@ _FINEST = 2.0**-100
 class Quantisation(SensorEffect):
     """Resolution of one angle."""
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     quantum: NotNegative  #: q, rad
 
     def parameters(self) -> tuple[Parameter, ...]:

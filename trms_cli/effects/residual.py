@@ -20,7 +20,6 @@ from msgspec import Meta
 from trms_cli.core.errors import ModelError
 from trms_cli.core.plugins import require_known
 from trms_cli.effects.effect import Effect, EffectContext, SensorEffect, axis_of, rotor_input
-from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, index_of
 from trms_cli.models.parameters import Parameter
 
@@ -127,7 +126,7 @@ class ResidualForce(Residual):
 class ResidualReading(Residual, SensorEffect):
     """An error of an angle's sensor that depends on the angle."""
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
 
     @property
     def place(self) -> str:
@@ -162,9 +161,9 @@ def variables(at: EffectContext) -> dict[str, ca.SX]:
     for rotor in ("main", "tail"):
         if rotor in model.rotors:
             expressions[f"{rotor}_command"] = at.u[
-                index_of(model.inputs, model.rotors[rotor], "input")
+                index_of(model.inputs, model.rotors[rotor].input, "input")
             ]
-            if SPEEDS[rotor] in model.state_names:
+            if rotor in model.rotor_speeds:
                 expressions[f"{rotor}_speed"] = at.speed(rotor)
     return expressions
 

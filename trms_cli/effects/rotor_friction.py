@@ -5,7 +5,6 @@ there, by the same impulses as the friction of an axis (:mod:`trms_cli.models.dr
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import casadi as ca
 
@@ -25,7 +24,7 @@ from trms_cli.models.parameters import Parameter
 class RotorFriction(Effect):
     """Coulomb friction of one rotor."""
 
-    rotor: Literal["main", "tail"]
+    rotor: str  #: Name of a rotor of the model
     torque: NotNegative  #: F_c, N m
 
     def parameters(self) -> tuple[Parameter, ...]:

@@ -12,7 +12,7 @@ this kind), and may therefore have either sign.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import casadi as ca
 from msgspec import Meta
@@ -33,7 +33,7 @@ class RotorReaction(Effect):
 
     may_begin: ClassVar[bool] = False
 
-    rotor: Literal["main", "tail"]
+    rotor: str  #: Name of a rotor of the model
     drag: Annotated[float, Meta(ge=-1e-4, le=1e-4)]  #: c, N m s²/rad²
     inertia: Annotated[float, Meta(ge=-1e-2, le=1e-2)]  #: J, kg m²
 

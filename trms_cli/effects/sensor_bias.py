@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import casadi as ca
 from msgspec import Meta
@@ -16,7 +16,7 @@ from trms_cli.models.parameters import Parameter
 class SensorBias(SensorEffect):
     """Constant error of one angle."""
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     bias: Annotated[float, Meta(ge=-1, le=1)]  #: b, rad
 
     def parameters(self) -> tuple[Parameter, ...]:

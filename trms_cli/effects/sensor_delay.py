@@ -9,7 +9,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -25,7 +24,7 @@ from trms_cli.models.parameters import Parameter
 class SensorDelay(SensorEffect):
     """Transport delay of one measured angle."""
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     delay: NotNegative  #: d, s
     #: Bound of the delay, s; the past angles that are kept reach back this far
     longest: Positive = 0.1

@@ -11,7 +11,7 @@ without creep, of second order while the axis turns.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import casadi as ca
 from msgspec import Meta
@@ -36,7 +36,7 @@ class StribeckFriction(Effect):
         {"excess": 0.2, "velocity": 0.006},
     )
 
-    axis: Literal["pitch", "yaw"]
+    axis: str  #: Name of an axis of the model
     torque: NotNegative  #: F_c, N m: friction of the turning axis
     excess: NotNegative  #: e = F_s/F_c − 1: break-away torque over it
     #: v_s, rad/s: rate at which the excess has fallen to 1/e

@@ -10,7 +10,7 @@ sags at once. Full command for ever ends at a gain of ``1 − depth``.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import casadi as ca
 from msgspec import Meta
@@ -26,7 +26,7 @@ from trms_cli.models.parameters import Parameter
 class SupplyDerating(Effect):
     """Thermal derating of one drive; it begins cold."""
 
-    rotor: Literal["main", "tail"]
+    rotor: str  #: Name of a rotor of the model
     #: Share of the gain that is lost at full load for ever
     depth: Annotated[float, Meta(ge=0, le=1)]
     time_constant: NotNegative  #: τ, s

@@ -5,7 +5,6 @@ exactly; no time constant is too short.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import casadi as ca
 
@@ -20,7 +19,7 @@ from trms_cli.models.parameters import Parameter
 class TachoLag(SensorEffect):
     """Low-pass filter of one measured rotor speed."""
 
-    rotor: Literal["main", "tail"]
+    rotor: str  #: Name of a rotor of the model
     time_constant: NotNegative  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:

@@ -9,7 +9,7 @@ At the speed ω₀ the power changes nothing, so that ω₀ is where the model's
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import casadi as ca
 from msgspec import Meta
@@ -27,7 +27,7 @@ _SLOWEST = 1e-3
 class ThrustCurve(ThrustEffect):
     """Another law of one rotor's thrust."""
 
-    rotor: Literal["main", "tail"]
+    rotor: str  #: Name of a rotor of the model
     exponent: Annotated[float, Meta(ge=-1, le=1)]  #: e, added to the model's exponent (of about 2)
     #: r, share by which the thrust in reverse differs from the model's
     reverse: Annotated[float, Meta(ge=-1, le=1)]

@@ -75,4 +75,4 @@ def stand_in(score: DifferenceScore) -> ConstantTorque | None:
     if score.difference.kind != "torque" or score.varies:
         return None
     axis = score.difference.name.split("_")[0]
-    return ConstantTorque(axis=axis, torque=float(score.value[0]))  # type: ignore[arg-type]
+    return ConstantTorque(axis=axis, torque=float(score.value[0]))

@@ -102,7 +102,7 @@ def _every_difference(
         name = f"{axis}_disturbance"
         is_measured = any(e.location == mechanism.moment for e in runs.equations)
         if is_measured and (only is None or name in only):
-            effect = ConstantTorque(axis=axis)  # type: ignore[arg-type]
+            effect = ConstantTorque(axis=axis)
             yield _of_effect(questioned, name, effect, (mechanism.moment,), "torque")
     for f in known_state.free:
         if only is None or f.name in only:

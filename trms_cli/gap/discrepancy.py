@@ -343,7 +343,7 @@ def equation_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
 
 def input_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
     """One for each command."""
-    rotors = {name: rotor for rotor, name in model.rotors.items()}
+    rotors = {rotor.input: name for name, rotor in model.rotors.items()}
     return tuple(
         DiscrepancyChannel(f"{rotors.get(s.name, s.name)}_actuator", "input", i, s.unit)
         for i, s in enumerate(model.inputs)

@@ -247,7 +247,7 @@ def _designed_experiments(
 
 def _words_of_small_levels(model: Model, name: str, reverses: bool) -> str:
     """For levels of an input of that name."""
-    rotors = {own: rotor for rotor, own in model.rotors.items()}
+    rotors = {own.input: rotor for rotor, own in model.rotors.items()}
     words = f"small random levels of the {rotors.get(name, name)} rotor"
     if model.n_u > 1:
         words += ", the other off" if reverses else ", the other steady"
@@ -305,7 +305,7 @@ def _played_experiments(
     inputs = names(model.inputs)
     if any(name not in ("u_v", "u_h") for name in inputs):
         return  # controller=open_loop has no key for another input
-    roles = {name: rotor for rotor, name in model.rotors.items()}
+    roles = {own.input: rotor for rotor, own in model.rotors.items()}
     samples = round((DURATION + LEAD_IN) / sample_time)
     time = np.arange(samples, dtype=np.float64) * sample_time
     upper = model.input_bounds()[1]

@@ -40,7 +40,6 @@ from trms_cli.gap.discrepancy import (
 from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import quantum_of
 from trms_cli.identification.validation.residual_tests import holm
-from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
 
 #: s. Longest lag of the tests, and samples at least and at most.
@@ -336,9 +335,7 @@ def _motion(
         rates[name] = np.gradient(angles[name], sample_time, axis=1)
     inputs = names(model.inputs)
     speeds = {
-        rotor: states[..., model.state_index(SPEEDS[rotor])]
-        for rotor in model.rotors
-        if SPEEDS.get(rotor) in model.state_names
+        rotor: states[..., model.state_index(speed)] for rotor, speed in model.rotor_speeds.items()
     }
-    of_rotors = {rotor: commands[..., inputs.index(name)] for rotor, name in model.rotors.items()}
+    of_rotors = {name: commands[..., inputs.index(r.input)] for name, r in model.rotors.items()}
     return {"angles": angles, "rates": rates, "speeds": speeds, "commands": of_rotors}

@@ -26,7 +26,6 @@ from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import FitProblem
-from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
 
 #: s. Length of a run: long enough that an encoder's step is a fraction of a mN m, short against
@@ -55,7 +54,7 @@ def observable_equations(
     """Equations of the axes whose angles, and of the rotors whose speeds, are measured."""
     outputs, forces = names(model.outputs), names(model.disturbances)
     equations = [(axis.moment, axis.angle, 2) for axis in model.axes.values()]
-    equations += [(f"{rotor}_motor", SPEEDS.get(rotor, ""), 1) for rotor in model.rotors]
+    equations += [(rotor.torque, rotor.speed, 1) for rotor in model.rotors.values()]
     return tuple(
         ObservableEquation(force, model.disturbances[i].unit, i, outputs.index(output), order)
         for force, output, order in equations

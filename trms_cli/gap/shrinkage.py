@@ -25,7 +25,6 @@ from trms_cli.gap.free_runs import (
     join_errors,
 )
 from trms_cli.gap.problem import GapProblem, Parts
-from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout
 
@@ -142,6 +141,7 @@ def measure_shrinkage(
     errors = {"raw": runs.errors(raw, plain), "refit": before, "corrected": after}
     right = runs.floor(corrected, plain if corrected is refit else richer)
     units = {s.name: s.unit for d in parts.whole for s in d.outputs}
+    speeds = set(problem.model.rotor_speeds.values())
     gap: dict[str, dict[str, Gap]] = {}
     shrink: dict[str, dict[str, Shrink]] = {}
     pairs: dict[str, dict[str, _Pair]] = {}
@@ -156,9 +156,12 @@ def measure_shrinkage(
                 one, other = (turn[channel][horizon] for turn in turns)
                 own = own.beside(_Pair.of(one, other, floor))
             pairs.setdefault(key, {})[channel] = own
-            shrink.setdefault(channel, {})[key] = _pooled_shrink([own], [channel], problem.seed)
+            shrink.setdefault(channel, {})[key] = _pooled_shrink(
+                [own], [channel in speeds], problem.seed
+            )
     shrink["all"] = {
-        key: _pooled_shrink(list(p.values()), list(p), problem.seed) for key, p in pairs.items()
+        key: _pooled_shrink(list(p.values()), [name in speeds for name in p], problem.seed)
+        for key, p in pairs.items()
     }
     worse = tuple(
         channel
@@ -202,7 +205,7 @@ _IN_TURN = 1_000_000
 _COMMON, _OWN, _APART, _FREEDOM, _OF_TACHOS = 0.3, 0.35, 0.6, 4.0, 0.25
 
 
-def _pooled_shrink(parts: Sequence[_Pair], channels: Sequence[str], seed: int) -> Shrink:
+def _pooled_shrink(parts: Sequence[_Pair], is_speed: Sequence[bool], seed: int) -> Shrink:
     """Of channels together, blocks resampled in all at once.
 
     The share is that of sealed blocks. Its interval is that of another recording of the rig: as
@@ -238,8 +241,7 @@ def _pooled_shrink(parts: Sequence[_Pair], channels: Sequence[str], seed: int) -
     with np.errstate(all="ignore"):
         ratio = np.abs(np.log(sums[..., 1].sum(axis=1) / sums[..., 0].sum(axis=1))) / 2
     differ = np.clip(np.nan_to_num(ratio, nan=np.inf) / _APART, 0.0, 1.0)[:, None]
-    tacho = np.isin(channels, list(SPEEDS.values()))
-    size = np.where(tacho, _OF_TACHOS, 1.0)[:, None]
+    size = np.where(is_speed, _OF_TACHOS, 1.0)[:, None]
     tails = np.sqrt(_FREEDOM / random.chisquare(_FREEDOM, (_RESAMPLES, len(parts), 1)))
     common, own = (random.standard_normal((_RESAMPLES, len(parts), k)) for k in (1, 2))
     factors = np.exp(2 * size * tails * (_COMMON * common + _OWN * differ * own))

@@ -25,8 +25,6 @@ _STEP = 0.01
 _MOST_SUBSTEPS = 8
 #: Angles at which a function of one angle is evaluated before it is interpolated.
 _GRID = 2000
-#: RigAxis and speed that belong to a rotor.
-_OF_ROTOR = {"main": ("pitch", "omega_v"), "tail": ("yaw", "omega_h")}
 
 
 @dataclass(frozen=True)
@@ -119,26 +117,22 @@ class RecordedMotions:
         states[self._momenta] = self._mapped(self._momentum_of, states, u, rate.T)
         whole = self._mapped(self._acceleration, states, u)
         passive, thrust = {}, {}
-        rotor_of = {axis: name for name, (axis, _) in _OF_ROTOR.items()}
         for i, (name, axis) in enumerate(self._axes.items()):
             if axis.angle not in measured:
                 continue
-            rotor = rotor_of.get(name, "")
             at_rest, silent = states.copy(), u.copy()
-            speed = _OF_ROTOR[rotor][1] if rotor else ""
-            suffix = speed[-2:]
-            for state in (speed, f"i{suffix}"):
-                if state in model.state_names:
-                    at_rest[model.state_index(state)] = 0.0
-            if model.rotors.get(rotor) in names(model.inputs):
-                silent[names(model.inputs).index(model.rotors[rotor])] = 0.0
+            rotor = model.rotor_of(name)
+            if rotor is not None:
+                own = model.rotors[rotor]
+                for state in (own.speed, f"i{own.speed[-2:]}"):
+                    if state in model.state_names:
+                        at_rest[model.state_index(state)] = 0.0
+                silent[names(model.inputs).index(own.input)] = 0.0
             at_rest[self._momenta] = self._mapped(self._momentum_of, at_rest, silent, rate.T)
             without = self._mapped(self._acceleration, at_rest, silent)[i]
             passive[axis.angle], thrust[axis.angle] = without, whole[i] - without
         modelled = {
-            speed: states[model.state_index(speed)]
-            for _, speed in _OF_ROTOR.values()
-            if speed in model.state_names
+            speed: states[model.state_index(speed)] for speed in model.rotor_speeds.values()
         }
         return RecordedMotion(modelled, measured, passive, thrust)
 
@@ -168,8 +162,8 @@ class RecordedMotions:
     def _start(self, dataset: Dataset) -> FloatArray:
         """Rest, with the first measured rotor speeds."""
         start = self.model.rest().copy()
-        for _, speed in _OF_ROTOR.values():
-            if speed in names(dataset.outputs) and speed in self.model.state_names:
+        for speed in self.model.rotor_speeds.values():
+            if speed in names(dataset.outputs):
                 values = dataset.output(speed)
                 finite = values[np.isfinite(values)]
                 if len(finite):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from trms_cli.models.model import FloatArray, Model, RigAxis, Signal, names
+from trms_cli.models.model import FloatArray, Model, RigAxis, RigRotor, Signal, names
 from trms_cli.models.parameters import ParameterFile
 
 STATES = {
@@ -33,7 +33,11 @@ DISTURBANCES = {
     "tail_motor": Signal("tail_motor", "N*m", "torque on the tail rotor"),
 }
 _AXES = {"pitch": RigAxis("alpha_v", "pitch_moment"), "yaw": RigAxis("alpha_h", "yaw_moment")}
-_ROTORS = {"pitch": ("main", "u_v"), "yaw": ("tail", "u_h")}
+#: The rotors of a beam, by name.
+ROTORS = {
+    "main": RigRotor("u_v", "omega_v", "main_motor", "pitch"),
+    "tail": RigRotor("u_h", "omega_h", "tail_motor", "yaw"),
+}
 
 
 class BeamRig(Model):
@@ -44,14 +48,15 @@ class BeamRig(Model):
     ) -> None:
         """Axes that move, their rotors and torques, what is controlled, limits and stops."""
         self.axes = {name: _AXES[name] for name in moving}
-        self.rotors = dict(_ROTORS[name] for name in moving)
+        self.rotors = {name: r for name, r in ROTORS.items() if r.axis in moving}
         self.controlled = tuple(axis.angle for axis in self.axes.values())
-        limits = dict.fromkeys(self.rotors.values(), input_limit)
+        inputs = tuple(rotor.input for rotor in self.rotors.values())
+        limits = dict.fromkeys(inputs, input_limit)
         limits |= dict.fromkeys(self.controlled, np.inf) | content.limits
-        self.input_limits = {name: limits[name] for name in self.rotors.values()}
+        self.input_limits = {name: limits[name] for name in inputs}
         self.stops = {name: limits[name] for name in self.controlled}
         moments = (axis.moment for axis in self.axes.values())
-        motors = (f"{rotor}_motor" for rotor in self.rotors)
+        motors = (rotor.torque for rotor in self.rotors.values())
         self.disturbances = tuple(DISTURBANCES[name] for name in (*moments, *motors))
 
     def pitch_at_rest(self) -> float:

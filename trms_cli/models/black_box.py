@@ -7,7 +7,7 @@ difference between the rig and its model.
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,13 +17,14 @@ import numpy as np
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ModelError, TrmsError
 from trms_cli.core.plugins import require_known
+from trms_cli.models.beam_rig import ROTORS
 from trms_cli.models.discrete import SteppedModel
 from trms_cli.models.model import RigAxis, Signal, names
 from trms_cli.models.parameters import ParameterSet, check_limits
 
 #: RigAxis of each angle and input of each rotor, as other models name them.
 _AXES = {"alpha_v": "pitch", "alpha_h": "yaw"}
-_ROTORS = {"u_v": "main", "u_h": "tail"}
+_ROTORS = {rotor.input: name for name, rotor in ROTORS.items()}
 #: Unit of an output that is an angle.
 ANGLE = "rad"
 #: Bound of a command that no limit is given for, by unit.
@@ -66,7 +67,11 @@ class BlackBox(SteppedModel):
         self.input_limits = {u.name: _limit(u, bounds) for u in self.inputs}
         self.stops = {angle: bounds.get(angle, np.inf) for angle in angles}
         self.axes = {_AXES.get(angle, angle): RigAxis(angle, f"{angle}_push") for angle in angles}
-        self.rotors = {_ROTORS[u]: u for u in names(self.inputs) if u in _ROTORS}
+        self.rotors = {
+            _ROTORS[u]: replace(ROTORS[_ROTORS[u]], torque="")
+            for u in names(self.inputs)
+            if u in _ROTORS
+        }
 
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
         return x[: self.n_y, 0]

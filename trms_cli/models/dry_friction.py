@@ -14,9 +14,6 @@ import casadi as ca
 from trms_cli.core.errors import ModelError
 from trms_cli.models.model import Model, RigAxis, index_of
 
-#: The state that is a rotor's speed, by rotor.
-SPEEDS = {"main": "omega_v", "tail": "omega_h"}
-
 #: Each shrinks the error of the mean rate by about ``h |dτ/dΩ| / 2J``, a few percent.
 _MEAN_RATE_ITERATIONS = 2
 
@@ -49,10 +46,9 @@ def turning_rate(model: Model, equation: int) -> ca.Function | None:
         return None
     x, u, p, w = at = model.symbols()
     f = model.dynamics(*at)
-    rotors = (rotor for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names)
-    named = {f"{rotor}_motor" for rotor in rotors} & {s.name for s in model.disturbances}
-    parts = (*model.axes, *(name.removesuffix("_motor") for name in sorted(named)))
-    for part in parts:
+    torques = {signal.name for signal in model.disturbances}
+    rotors = (rotor for rotor in model.rotor_speeds if model.rotors[rotor].torque in torques)
+    for part in (*model.axes, *rotors):
         rate, torque = _turning(model, part, x, f)
         if torque == equation:
             return ca.Function("rate", [x, u, p, w], [rate])
@@ -62,8 +58,9 @@ def turning_rate(model: Model, equation: int) -> ca.Function | None:
 def _turning(model: Model, part: str, x: ca.SX, f: ca.SX) -> tuple[ca.SX, int]:
     """Rate of an axis or rotor, rad/s, and the position in ``w`` of the torque on it."""
     if part in model.rotors:
-        speed = x[model.state_index(SPEEDS[part])]
-        return speed, index_of(model.disturbances, f"{part}_motor", "a disturbance")
+        rotor = model.rotors[part]
+        torque = index_of(model.disturbances, rotor.torque, "a disturbance")
+        return x[model.state_index(rotor.speed)], torque
     return f[model.state_index(axis_of(model, part).angle)], moment_index(model, part)
 
 

@@ -49,6 +49,16 @@ class RigAxis:
     moment: str  #: Name of the disturbance that is a torque on the axis, N m
 
 
+@dataclass(frozen=True)
+class RigRotor:
+    """A rotor of the rig, as effects refer to it. What a model does not have stays empty."""
+
+    input: str  #: Name of its input
+    speed: str = ""  #: Name of the state that is its speed, rad/s
+    torque: str = ""  #: Name of the disturbance that is a torque on it, N m
+    axis: str = ""  #: Name of the axis that its thrust turns
+
+
 #: The former name, which models of users import.
 Axis = RigAxis
 
@@ -69,7 +79,7 @@ class Model(ABC):
     input_limits: Mapping[str, float]  #: Symmetric bound of each input, in the input's unit
     stops: Mapping[str, float]  #: Mechanical range of an angle, symmetric, rad
     axes: Mapping[str, RigAxis]  #: The mechanical axes by name (``pitch``, ``yaw``)
-    rotors: Mapping[str, str]  #: Input by rotor name (``main``, ``tail``)
+    rotors: Mapping[str, RigRotor]  #: The rotors by name (``main``, ``tail``)
     #: Whether an explicit integrator needs steps far below the dynamics of interest
     stiff: bool = False
     #: Whether impulses, where there are any, hold an axis at rest; those of regularised friction,
@@ -216,6 +226,15 @@ class Model(ABC):
     def path_memory(self) -> tuple[int, ...]:
         """Positions of the states that remember a path: a steady state leaves them open."""
         return tuple(i for i, state in enumerate(self.states) if state.path_memory)
+
+    @property
+    def rotor_speeds(self) -> dict[str, str]:
+        """Name of the state that is a rotor's speed, of each rotor that has one."""
+        return {n: r.speed for n, r in self.rotors.items() if r.speed in self.state_names}
+
+    def rotor_of(self, axis: str) -> str | None:
+        """Name of the rotor whose thrust turns an axis; None: no rotor's does."""
+        return next((name for name, rotor in self.rotors.items() if rotor.axis == axis), None)
 
     def input_bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds of the inputs, each (n_u,)."""

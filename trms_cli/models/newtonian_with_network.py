@@ -137,7 +137,7 @@ class NewtonianWithNetwork(Newtonian):
         angles = self.controlled
         speeds = (f"omega_{angle[-1]}" for angle in angles)
         rates = (f"{angle}{_RATE}" for angle in angles)
-        return (*angles, *rates, *speeds, *self.rotors.values())
+        return (*angles, *rates, *speeds, *(rotor.input for rotor in self.rotors.values()))
 
     def with_network(
         self, network: TorqueNetwork | None, *, free_weights: bool = False

@@ -5,12 +5,13 @@ load cell measures the thrust beside the tachometer.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import casadi as ca
 
 from trms_cli.core.errors import ModelError
-from trms_cli.models.beam_rig import DISTURBANCES, INPUTS, STATES
+from trms_cli.models.beam_rig import DISTURBANCES, INPUTS, ROTORS, STATES
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.motor import Motor
 from trms_cli.models.parameters import ParameterSet, parameter_file
@@ -84,7 +85,7 @@ class SingleRotor(Model):
         self.input_limits = {name: content.limits.get(name, 2.5)}
         self.stops: Mapping[str, float] = {}
         self.axes = {}
-        self.rotors = {rotor: name}
+        self.rotors = {rotor: replace(ROTORS[rotor], axis="")}
         self.stiff = currents == "dynamic"
 
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:

@@ -138,7 +138,7 @@ class TwinRotor(BeamRig):
             parameters or {}
         )
         self.states = tuple(STATES[name] for name in states)
-        self.inputs = tuple(INPUTS[name] for name in self.rotors.values())
+        self.inputs = tuple(INPUTS[rotor.input] for rotor in self.rotors.values())
         measured = ("alpha_v", "alpha_h", "omega_v", "omega_h")
         self.outputs = tuple(STATES[name] for name in measured if name in states)
         self.stiff = currents == "dynamic"

@@ -118,7 +118,7 @@ def _commands(model: Model, samples: int, step: float, random: np.random.Generat
     """Sums of sines with held random levels, within the limits."""
     time, columns = step * np.arange(samples), []
     for signal in model.inputs:
-        rotor = next((r for r, name in model.rotors.items() if name == signal.name), "tail")
+        rotor = next((n for n, r in model.rotors.items() if r.input == signal.name), "tail")
         limit = model.input_limits[signal.name]
         lines = np.exp(random.uniform(np.log(_BAND[0]), np.log(_BAND[1]), _LINES))
         phases = random.uniform(0, 2 * np.pi, _LINES)

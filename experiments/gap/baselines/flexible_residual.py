@@ -26,7 +26,6 @@ from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult, LocationShare
 from trms_cli.gap.problem import GapProblem
 from trms_cli.gap.shrinkage import measure_shrinkage
-from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
 from trms_cli.models.parameters import Parameter
 
@@ -87,7 +86,7 @@ def inputs(at: EffectContext) -> ca.SX:
     """What the force may depend on: angles, rates, rotor speeds, commands."""
     model = at.model
     signals = [at.angle(axis) for axis in model.axes] + [at.rate(axis) for axis in model.axes]
-    signals += [at.speed(r) for r in model.rotors if SPEEDS[r] in model.state_names]
+    signals += [at.speed(rotor) for rotor in model.rotor_speeds]
     return ca.vertcat(*signals, at.u)
 
 

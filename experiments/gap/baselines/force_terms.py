@@ -19,7 +19,6 @@ from experiments.gap.baselines.restoring_force import Motion
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import compile_function
 from trms_cli.effects.effect import Effect, EffectContext
-from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.models.parameters import Parameter
 
@@ -87,7 +86,7 @@ def library(at: EffectContext) -> Iterator[tuple[Term, ca.SX]]:
             for term, value in _of_axis(at, axis):
                 yield Term(f"{axis}_moment", term[0], term[1]), value
     for i, rotor in enumerate(at.model.rotors):
-        if f"{rotor}_motor" in places and SPEEDS[rotor] in at.model.state_names:
+        if f"{rotor}_motor" in places and rotor in at.model.rotor_speeds:
             for term, value in _of_rotor(at, rotor, i):
                 yield Term(f"{rotor}_motor", term[0], term[1]), value
 
@@ -110,11 +109,11 @@ def _of_axis(at: EffectContext, axis: str) -> Iterator[_Entry]:
         yield ("angle", ("yaw_cable_stiffness",)), angle
         yield ("angle^3", ("yaw_cable_stiffness",)), angle**3
         yield ("slipping spring", ("yaw_cable_hysteresis",)), at.own[4]
-    if {"pitch", "yaw"} <= set(at.model.axes) and SPEEDS["main"] in at.model.state_names:
+    if {"pitch", "yaw"} <= set(at.model.axes) and "main" in at.model.rotor_speeds:
         crossed = at.rate("yaw" if axis == "pitch" else "pitch") * at.speed("main")
         yield ("w_main × other rate", ("gyroscopic_coupling",)), crossed * ca.sin(at.angle("pitch"))
     lever = at.cosine_of_pitch() if axis == "yaw" else ca.SX(1)
-    if SPEEDS[own] in at.model.state_names and own in at.model.rotors:
+    if own in at.model.rotor_speeds:
         w = at.speed(own)
         thrust = w * ca.fabs(w) * lever
         bent = thrust * ca.log(ca.fmax(ca.fabs(w), 1.0) / _CRUISE)
@@ -124,7 +123,7 @@ def _of_axis(at: EffectContext, axis: str) -> Iterator[_Entry]:
         if own == "main" and axis == "pitch":
             near = ca.exp(-_ARM * (1 + ca.sin(angle)) / _GROUND)
             yield ("thrust near the table", ("ground_effect",)), ca.fmax(thrust, 0) * near
-    if SPEEDS[other] in at.model.state_names and other in at.model.rotors:
+    if other in at.model.rotor_speeds:
         w = at.speed(other)
         reaction = f"{other}_reaction_on_{axis}"
         yield (f"w_{other} |w_{other}|", (reaction,)), w * ca.fabs(w) * lever

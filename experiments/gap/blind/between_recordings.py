@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.gap.blind.judgement import JudgedCase
-from trms_cli.models.dry_friction import SPEEDS
+from trms_cli.models.beam_rig import ROTORS
 
 FloatArray = npt.NDArray[np.float64]
+_SPEEDS = {rotor.speed for rotor in ROTORS.values()}
 
 #: Of the normal distribution: a standard deviation is that many median absolute deviations.
 _NORMAL = 1.4826
@@ -51,7 +52,7 @@ def between_recordings(judged_cases: Sequence[JudgedCase]) -> list[Spread]:
                 for j in judged_cases
                 if j.fresh is not None and j.answer.named_effects
                 for channel, fresh in j.fresh.errors.items()
-                if (channel in SPEEDS.values()) is of_speeds and channel in j.answer.sealed
+                if (channel in _SPEEDS) is of_speeds and channel in j.answer.sealed
             ]
         ).reshape(-1, 4)
         rows = rows[np.all(rows > 0, axis=1)]

@@ -64,9 +64,9 @@ class NewtonProblem:
         self._terminal_sizes = sizes
         input_weights = dict(config.input_weights)
         if holds_at_rest(model):
-            for rotor, name in model.rotors.items():
-                least = _HOLDING_WEIGHTS.get(rotor, 0.0)
-                input_weights[name] = max(input_weights.get(name, 0.0), least)
+            for name, rotor in model.rotors.items():
+                least = _HOLDING_WEIGHTS.get(name, 0.0)
+                input_weights[rotor.input] = max(input_weights.get(rotor.input, 0.0), least)
         self._weights = Weights(weights, config.rate_weights, input_weights, config.move_weights)
         self._price = (
             None

@@ -465,14 +465,12 @@ def setting_of(
     its own rotor, unless that is what is varied. With nothing named the pitch is held level where a
     tail rotor is varied and nothing else asks for the main rotor's command.
     """
-    own = {axis: model.rotors.get(rotor) for axis, rotor in (("pitch", "main"), ("yaw", "tail"))}
+    own = {rotor.axis: rotor.input for rotor in model.rotors.values()}
     holder = {model.axes[axis].angle: own[axis] for axis in own if axis in model.axes}
     held_angles = {
-        name: value
-        for name, value in at.items()
-        if name in holder and holder[name] not in (None, over)
+        name: value for name, value in at.items() if name in holder and holder[name] != over
     }
-    if not at and "pitch" in model.axes and own["pitch"] is not None and over == own["yaw"]:
+    if not at and "pitch" in model.axes and "pitch" in own and over == own.get("yaw"):
         angle = model.axes["pitch"].angle
         if not rest_system(model, {over}).free:
             held_angles = {angle: 0.0}

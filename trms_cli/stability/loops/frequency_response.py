@@ -67,7 +67,6 @@ import numpy as np
 from trms_cli.core.arrays import ComplexArray, FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
-from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint, operating_point
 from trms_cli.models.steady_state import SteadyState
@@ -353,13 +352,11 @@ def _experiment(
                 f"still changes by {100 * adder.drift:.0f} % from period to period"
             )
     turned = tuple(
-        name for name in _speeds(model) if np.ptp(np.sign(run.x[:, model.state_index(name)])) > 0
+        name
+        for name in model.rotor_speeds.values()
+        if np.ptp(np.sign(run.x[:, model.state_index(name)])) > 0
     )
     return _Answer(run, commands, adder.drift, rest, limited, turned, departure, leaves)
-
-
-def _speeds(model: Model) -> list[str]:
-    return [SPEEDS[rotor] for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names]
 
 
 #: Step of the commands, as a share of half their range: any dry friction takes up so little.
@@ -384,7 +381,9 @@ def held_by_friction(model: Model, point: OperatingPoint) -> tuple[str, ...]:
         ends = field.motions(starts, commands, _WAIT, _WAIT / 10, impulses=impulses)
         displacements.append(np.abs(ends[:, 1] - ends[:, 0]).max(axis=0))
     with_friction, free = displacements
-    rows = {name: model.state_index(name) for name in (*model.controlled, *_speeds(model))}
+    rows = {
+        name: model.state_index(name) for name in (*model.controlled, *model.rotor_speeds.values())
+    }
     return tuple(name for name, i in rows.items() if with_friction[i] < _HELD * free[i])
 
 

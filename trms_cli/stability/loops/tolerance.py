@@ -82,7 +82,7 @@ class Impairment:
         """The rig that has it."""
         if self.kind != "friction":
             return model
-        friction = CoulombFriction(axis=self.of, torque=size)  # type: ignore[arg-type]
+        friction = CoulombFriction(axis=self.of, torque=size)
         return extend_model(model, {f"added_{self.key}": friction})
 
     def path(

@@ -31,7 +31,6 @@ import numpy.typing as npt
 from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.wording import symbol
-from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.operating_point import refine_operating_point
 from trms_cli.models.vector_field import has_impulses
 from trms_cli.stability.portraits.section import PortraitCoordinates, StateSection, rate_names
@@ -261,8 +260,7 @@ def sticking_sets(
     sets: list[StickingSet] = []
     model = coordinates.model
     # What friction can hold: rates of angles, speeds of rotors.
-    speeds = [SPEEDS[rotor] for rotor in model.rotors if SPEEDS.get(rotor) in model.state_names]
-    for name in (*rate_names(model), *speeds):
+    for name in (*rate_names(model), *model.rotor_speeds.values()):
         for along in (0, 1):
             line = _line(section, coordinates.names[along], name)
             if line is not None:

@@ -22,7 +22,6 @@ from trms_cli.core.findings import (
     round_significant,
 )
 from trms_cli.core.ranges import Positive
-from trms_cli.models.dry_friction import SPEEDS
 from trms_cli.models.model import Model, Signal, by_name, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local.access import (
@@ -551,9 +550,9 @@ def _rotors(path: OperatingPath, sweep: EigenvalueSweep) -> list[tuple[int, str]
     """Input, and controlled state, and rotor's speed, where the speed varies over the range."""
     model, inputs = path.model, names(path.model.inputs)
     rotors = []
-    for rotor, command in model.rotors.items():
-        speed = SPEEDS.get(rotor, "")
-        if speed not in model.state_names or command not in inputs:
+    for rotor, speed in model.rotor_speeds.items():
+        command = model.rotors[rotor].input
+        if command not in inputs:
             continue
         omega = sweep.states[:, model.state_index(speed)]
         largest = float(np.abs(omega).max(initial=0.0))

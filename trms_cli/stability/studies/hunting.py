@@ -11,14 +11,14 @@ from msgspec import Meta
 
 from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.pid import Pid
-from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS
+from trms_cli.controllers.pid_design import holding_input
 from trms_cli.controllers.pid_tuning import Gains
 from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
 from trms_cli.core.ranges import Positive
 from trms_cli.core.wording import symbol
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.cycles.hunting_runs import (
     AxisRun,
@@ -87,7 +87,7 @@ class Hunting:
                 remedy="leave it out, or choose controller=pid",
             )
         point = usual_point(model, self.at)
-        channel = names(model.inputs).index(model.rotors[ROTOR_OF_AXIS[friction.axis]])
+        channel = holding_input(model, friction.axis)
         case = LoopCase(model, loop, point, friction, self.push, channel)
         prediction = one = events = None
         warnings = list(not_level(model, self.at, point))
