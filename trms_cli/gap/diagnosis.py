@@ -22,21 +22,6 @@ LEAST = 0.01
 WORSE = 1.02
 #: s; the horizon that stands for all: this, or the longest that there is below.
 _HORIZON = 2.0
-#: Where a gap can lie, from the command to the sensor.
-LOCATIONS = (
-    "main_actuator",
-    "tail_actuator",
-    "main_motor",
-    "tail_motor",
-    "main_thrust",
-    "tail_thrust",
-    "pitch_moment",
-    "yaw_moment",
-    "pitch_sensor",
-    "yaw_sensor",
-    "main_tacho",
-    "tail_tacho",
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +39,7 @@ class DiagnosedRecording:
 class LocationShare:
     """How much of the gap lies at a place of the block diagram."""
 
-    location: str  #: one of :data:`LOCATIONS`
+    location: str  #: see :mod:`trms_cli.effects.places`
     share: float  #: 0 to 1
     ci95: tuple[float, float]  #: of the share, over resampled blocks
 
@@ -63,7 +48,7 @@ class LocationShare:
 class RegionShare:
     """Where in state space the missing force acts: the share of its energy under a condition."""
 
-    location: str  #: one of :data:`LOCATIONS`
+    location: str  #: see :mod:`trms_cli.effects.places`
     condition: str  #: in words
     share: float  #: 0 to 1
 

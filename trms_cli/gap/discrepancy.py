@@ -27,6 +27,7 @@ import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction, compiled_source
+from trms_cli.effects.places import actuator_place, sensor_place
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
@@ -313,13 +314,6 @@ class TrajectoryLinearisation:
 
 #: s. Time over which a discrepancy forgets itself.
 CORRELATION_TIME = 0.5
-#: Sensors' outputs by name, and where in the block diagram they are.
-SENSORS = {
-    "alpha_v": "pitch_sensor",
-    "alpha_h": "yaw_sensor",
-    "omega_v": "main_tacho",
-    "omega_h": "tail_tacho",
-}
 
 
 @dataclass(frozen=True)
@@ -343,9 +337,8 @@ def equation_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
 
 def input_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
     """One for each command."""
-    rotors = {rotor.input: name for name, rotor in model.rotors.items()}
     return tuple(
-        DiscrepancyChannel(f"{rotors.get(s.name, s.name)}_actuator", "input", i, s.unit)
+        DiscrepancyChannel(actuator_place(model, s.name), "input", i, s.unit)
         for i, s in enumerate(model.inputs)
     )
 
@@ -353,7 +346,7 @@ def input_channels(model: Model) -> tuple[DiscrepancyChannel, ...]:
 def sensor_channels(model: Model, measured: BoolArray) -> tuple[DiscrepancyChannel, ...]:
     """One for each output that is measured."""
     return tuple(
-        DiscrepancyChannel(SENSORS.get(name, name), "output", i, model.outputs[i].unit)
+        DiscrepancyChannel(sensor_place(model, name), "output", i, model.outputs[i].unit)
         for i, name in enumerate(names(model.outputs))
         if measured[..., i].any()
     )

@@ -9,15 +9,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
-import casadi as ca
 import numpy as np
 from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.wording import listing, number
-from trms_cli.effects.effect import Effect, EffectContext
+from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
+from trms_cli.effects.places import places_of
 from trms_cli.effects.quantisation import Quantisation
 from trms_cli.gap.diagnosis import DiagnosedRecording
 from trms_cli.identification.data import noise_estimate
@@ -422,7 +422,7 @@ def applicable_candidates(
         applicable[name] = CandidateEffect(
             name,
             effect,
-            locations(effect, with_effect),
+            places_of(with_effect),
             tuple(_free(name, i, p) for i, p in enumerate(effect.parameters())),
             variants(effect.parameters()),
             type(effect).noise_sd is not Effect.noise_sd,
@@ -433,37 +433,6 @@ def applicable_candidates(
 def joint(model: Model, candidates: Sequence[CandidateEffect]) -> Model:
     """The model with several effects."""
     return extend_model(model, {candidate.name: candidate.effect for candidate in candidates})
-
-
-def locations(effect: Effect, model: ExtendedModel) -> tuple[str, ...]:
-    """Where in the block diagram an effect acts.
-
-    An effect says so itself, by an attribute ``locations``; else it is read from what it
-    overrides: the input path is its rotor's actuator, an output its axis' sensor or its rotor's
-    tacho, an impulse or torque the equation that it acts on.
-    """
-    own = getattr(effect, "locations", None)
-    if own:
-        return tuple(own)
-    kind = type(effect)
-    axis, rotor = getattr(effect, "axis", None), getattr(effect, "rotor", None)
-
-    def overrides(*names: str) -> bool:
-        return any(getattr(kind, name) is not getattr(Effect, name) for name in names)
-
-    if overrides("input_path", "memory"):
-        return (f"{rotor}_actuator",) if rotor else ("main_actuator", "tail_actuator")
-    if overrides("output", "reading", "sensor_path"):
-        if rotor:
-            return (f"{rotor}_tacho",)
-        return (f"{axis}_sensor",) if axis else ("pitch_sensor", "yaw_sensor")
-    if overrides("disturbance"):
-        equations = _disturbed_equations(model)
-        if equations:
-            return equations
-    if rotor:
-        return (f"{rotor}_motor",)
-    return (f"{axis}_moment",) if axis else ()
 
 
 def variants(parameters: Sequence[Parameter]) -> FloatArray:
@@ -555,16 +524,4 @@ def _free(effect: str, index: int, parameter: Parameter) -> FreeParameter:
         prior_sd=sd,
         lower=lower,
         upper=upper,
-    )
-
-
-def _disturbed_equations(model: ExtendedModel) -> tuple[str, ...]:
-    """Equations on which an effect puts a torque, as its expressions say."""
-    base, effect = model.base, model.effect
-    x, u, p, w = base.symbols()
-    sizes = {q.name: ca.SX.sym(q.name) for q in effect.parameters()}
-    own = ca.SX.sym("own", len(effect.states()))
-    torque = effect.disturbance(EffectContext(base, x, u, p, w, own, sizes))
-    return tuple(
-        signal.name for i, signal in enumerate(base.disturbances) if not torque[i].is_zero()
     )

@@ -32,7 +32,7 @@ class ForceRecord:
     Raises ValueError: Series of different lengths.
     """
 
-    location: str  #: One of :data:`trms_cli.gap.diagnosis.LOCATIONS`
+    location: str  #: See :mod:`trms_cli.effects.places`
     unit: str  #: Of the force: N*m, V, rad, rad/s
     time: FloatArray  #: (k,) array; s, rising within a recording
     recording: IntArray  #: (k,) array; of which recording; the samples of one stand together

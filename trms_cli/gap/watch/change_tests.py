@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
-from trms_cli.gap.discrepancy import SENSORS
+from trms_cli.effects.places import sensor_place
 from trms_cli.gap.watch.filter_step import SignatureArrays
 from trms_cli.gap.watch.predictor import Predictor, angle_of
 from trms_cli.models.model import names
@@ -90,7 +90,7 @@ class ChangeTests:
             for e in equations
             for form in ("constant", "against_motion")
         ]
-        biases = [ChangeTest(SENSORS.get(name, name), "bias", units[name]) for name in outputs]
+        biases = [ChangeTest(sensor_place(model, name), "bias", units[name]) for name in outputs]
         self.tests = (*forces, *biases)
         self._equations_of: IntArray = np.array(equations, dtype=np.int64)
         n_f = len(forces)
