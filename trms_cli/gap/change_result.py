@@ -265,13 +265,13 @@ def _confusable(comparison: StateComparison) -> tuple[tuple[str, ...], ...]:
 #: rad, between the angle that was held and each of the two to hold next; s, at each of them.
 _ANGLE_STEP, _HOLD_TIME = 0.2, 10.0
 #: Differences that pull a held axis steadily; frictions are alike for other reasons.
-_STEADY = {"pitch_disturbance", "yaw_disturbance", "pitch_mass_imbalance", "parameters_only"}
+_STEADY = ("_disturbance", "_mass_imbalance", "parameters_only")
 
 
 def _next(problem: GapProblem, comparison: StateComparison) -> NextExperiment | None:
     """What parts differences that are one where an axis is held: two other angles."""
-    groups = [g for g in _confusable(comparison) if len(_STEADY.intersection(g)) > 1]
-    moments = {f"{name}_moment": axis.angle for name, axis in problem.model.axes.items()}
+    groups = [g for g in _confusable(comparison) if sum(name.endswith(_STEADY) for name in g) > 1]
+    moments = {axis.moment: axis.angle for axis in problem.model.axes.values()}
     places = [at for at in comparison.judged[0].difference.locations if at in moments]
     if not groups or not places:
         return None

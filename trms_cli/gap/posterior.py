@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.effects.places import sensor_place
 from trms_cli.gap.beginning import begins_at
 from trms_cli.gap.belief import (
     DISTURBANCE,
@@ -194,11 +195,11 @@ def outside_behinds(race: Race, constants: Calibration) -> dict[str, FloatArray]
     """
     places = {c.location for c in race.refit.metric.discrepancy.channels}
     behinds = {}
-    for axis in ("pitch", "yaw"):
-        if (place := f"{axis}_moment") in places:
-            behinds[axis] = np.array(
+    for name, axis in race.refit.model.axes.items():
+        if axis.moment in places:
+            behinds[name] = np.array(
                 [
-                    _excess(race, fitted, constants, place if i <= _RUN else "").sum()
+                    _excess(race, fitted, constants, axis.moment if i <= _RUN else "").sum()
                     for i, fitted in enumerate((race.refit, *race.entries))
                 ]
             )
@@ -248,32 +249,33 @@ def posterior_of(
     """
     behinds = excesses(race, constants)
     features = features_of(race, behinds, constants, runs, flexible)
-    shares = place.share()
+    shares, model = place.share(), problem.model
+    moments = {name: axis.moment for name, axis in model.axes.items()}
+    sensors = {name: sensor_place(model, axis.angle) for name, axis in model.axes.items()}
     axes = [
         axis
         for axis in features.outside
         if f"{axis}{DISTURBANCE}" in candidates
-        and shares.get(f"{axis}_moment", 0.0) >= shares.get(f"{axis}_sensor", 0.0)
+        and shares.get(moments[axis], 0.0) >= shares.get(sensors[axis], 0.0)
     ]
     sizes = dict(zip(place.locations, place.sizes.tolist(), strict=True))
     features = replace(
         features,
         outside={axis: features.outside[axis] for axis in axes},
         sensor={
-            axis: shares.get(f"{axis}_sensor", 0.0) / max(shares[f"{axis}_moment"], 1e-9)
-            for axis in axes
+            axis: shares.get(sensors[axis], 0.0) / max(shares[moments[axis]], 1e-9) for axis in axes
         },
-        force={axis: sizes[f"{axis}_moment"] for axis in axes},
+        force={axis: sizes[moments[axis]] for axis in axes},
         memory={
             axis: record.correlation_time(record.force)
             for axis in axes
-            for record in (forces[f"{axis}_moment"],)
+            for record in (forces[moments[axis]],)
         },
     )
     if axes and features.behind > 0:
-        axis = max(axes, key=lambda axis: shares[f"{axis}_moment"])
+        axis = max(axes, key=lambda axis: shares[moments[axis]])
         # the regression knows paths and the last moments, which the terms of the flexible do not
-        dependence = exogenous(forces[f"{axis}_moment"], problem.seed)
+        dependence = exogenous(forces[moments[axis]], problem.seed)
         predictable_share = dependence.predictable_share if dependence.p_value < _CERTAIN else 0.0
         features = replace(features, foretold=float(np.fmax(features.foretold, predictable_share)))
     coarse = coarse_sensor(problem, candidates)
