@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trms_cli.composition.composer import compose
-from trms_cli.core.errors import ConfigurationError
+from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 
@@ -48,8 +48,10 @@ def test_nothing_but_a_size_is_taken_for_one(rig, value):
 
 
 def test_an_axis_that_does_not_exist_is_refused(rig):
-    with pytest.raises(ConfigurationError, match="roll"):
-        build(rig.node("yaw_coulomb_friction") | {"axis": "roll"}, "effect.mine")
+    effect = build(rig.node("yaw_coulomb_friction") | {"axis": "roll"}, "effect.mine")
+    with pytest.raises(ModelError, match="no roll axis") as caught:
+        rig.extended(rig.newtonian(), {"mine": effect})
+    assert caught.value.where == "effect.mine" and "pitch, yaw" in caught.value.remedy
 
 
 def test_effects_are_data(rig, effect_name):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from trms_cli.effects.gyroscopic_coupling import GyroscopicCoupling
 from trms_cli.effects.rotor_reaction import RotorReaction
-from trms_cli.models.model import Signal
+from trms_cli.models.model import RigRotor, Signal
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras
 
@@ -79,6 +79,7 @@ class Spinner(Turntable):
     def __init__(self) -> None:
         super().__init__(inertia=0.05)
         self.states = (*self.states, Signal("omega_v", "rad/s"))
+        self.rotors = {"main": RigRotor("u_v", "omega_v", axis="pitch")}
 
     def dynamics(self, x, u, p, w):
         return ca.vertcat(super().dynamics(x, u, p, w), 0)

@@ -108,5 +108,5 @@ def test_ground_effect_is_the_cushion_s_share_of_the_thrust(rig, base):
 
 
 def test_a_model_that_does_not_name_its_thrust_is_refused(rig):
-    with pytest.raises(ModelError, match="omega_v"):
+    with pytest.raises(ModelError, match="speed of the main rotor"):
         rig.extended(rig.turntable(), {"e": Inflow(rotor="main", coefficient=1.0)})

@@ -14,8 +14,8 @@ import pytest
 from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.chart import Bars, RigDiagram
 from trms_cli.core.findings import Datum, Findings, Table, plain
+from trms_cli.effects.places import all_places
 from trms_cli.gap.diagnosis import (
-    LOCATIONS,
     Cause,
     DiagnosisResult,
     Gap,
@@ -31,6 +31,7 @@ from trms_cli.gap.evidence_sections import force_chart, gap_chart, race_chart, r
 from trms_cli.gap.findings import findings
 from trms_cli.gap.sentence import sentence
 from trms_cli.gap.shrinkage import Shrinkage
+from trms_cli.models.newtonian import Newtonian
 from trms_cli.reporting.page import page_html
 from trms_cli.reporting.rig_diagram import diagram
 
@@ -305,12 +306,13 @@ def rig_diagram(where, channels=()) -> RigDiagram:
 
 class TestDiagram:
     def test_every_place_has_its_share(self) -> None:
+        places = all_places(Newtonian())
         where = [
             LocationShare(location=name, share=0.07 * i, ci95=(0.05 * i, 0.08 * i))
-            for i, name in enumerate(LOCATIONS)
+            for i, name in enumerate(places)
         ]
         texts = drawn(diagram(rig_diagram(where)))
-        for i, name in enumerate(LOCATIONS):
+        for i, name in enumerate(places):
             assert name.replace("_", " ") in texts and f"{7 * i:.0f} %" in texts
         # A place with nothing has no figure.
         whole = LocationShare(location="yaw_moment", share=1.0, ci95=(1.0, 1.0))

@@ -37,7 +37,7 @@ def test_harm_is_that_of_the_channel_that_fares_worst_at_the_longest_horizon() -
 
 
 #: A channel that hardly differs between recordings.
-TACHO = ["omega_v"]
+TACHO = [True]  # the channel is a rotor's speed
 
 
 def pair(before: np.ndarray, after: np.ndarray, block: np.ndarray) -> _Pair:

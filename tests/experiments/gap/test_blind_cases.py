@@ -22,7 +22,8 @@ from experiments.gap.blind.truths import (
     same_equation,
 )
 from trms_cli.core.resources import config_folder
-from trms_cli.gap.diagnosis import LOCATIONS
+from trms_cli.effects.places import all_places
+from trms_cli.models.newtonian import Newtonian
 
 
 @pytest.mark.parametrize("name", SETS)
@@ -49,7 +50,7 @@ def test_kinds_have_what_they_are_about() -> None:
             assert len(effects) + len(case.moved) <= 1
             continue
         assert case.locations
-        assert set(case.locations) <= set(LOCATIONS)
+        assert set(case.locations) <= set(all_places(Newtonian()))
         assert len(effects) == {"pair": 2, "triple": 3}.get(case.kind, 1)
         places = [{p for at in TRUTHS[e].locations for p in same_equation(at)} for e in effects]
         assert len(set().union(*places)) == sum(map(len, places))
