@@ -37,7 +37,7 @@ def test_harm_is_that_of_the_channel_that_fares_worst_at_the_longest_horizon() -
 
 
 #: A channel that hardly differs between recordings.
-TACHO = [True]  # the channel is a rotor's speed
+TACHO, ANGLE = [True], [False]  # whether the channel is a rotor's speed
 
 
 def pair(before: np.ndarray, after: np.ndarray, block: np.ndarray) -> _Pair:
@@ -104,7 +104,7 @@ def test_the_interval_holds_what_another_recording_shows() -> None:
         truth = 1 - (after - 1) / (before - 1)
         pairs = [pair(100 * squares, 9 * squares, block)]
         shrink, still = (
-            _pooled_shrink(pairs, ["alpha_h"], trial),
+            _pooled_shrink(pairs, ANGLE, trial),
             _pooled_shrink(pairs, TACHO, trial),
         )
         assert shrink.ci95 is not None and still.ci95 is not None
@@ -115,7 +115,7 @@ def test_the_interval_holds_what_another_recording_shows() -> None:
     assert np.median(width) < 1.5
     # a correction that changes nothing does so on any recording
     same = np.full(60, 16.0)
-    nothing = _pooled_shrink([pair(same, same, block)], ["alpha_h"], 0)
+    nothing = _pooled_shrink([pair(same, same, block)], ANGLE, 0)
     assert nothing.fraction == 0.0 and nothing.ci95 == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
@@ -155,7 +155,7 @@ def test_fitted_blocks_are_sealed_in_turn_where_the_sealed_part_is_short() -> No
     parts = Parts((fitted,), (dataset,), ((0, cut, len(dataset)),), 10.0)
     turns = _in_turn(parts, plain, corrected, 1)
     assert turns is not None
-    before, after = (errors["alpha_h"][2.0] for errors in turns)
+    before, after = (errorsANGLE[2.0] for errors in turns)
     assert sorted(set(before.block.tolist())) == [0, 1, 2]
     assert after.rms < 0.5 * before.rms
     # a long sealed part tells its own scatter
