@@ -155,7 +155,7 @@ def test_fitted_blocks_are_sealed_in_turn_where_the_sealed_part_is_short() -> No
     parts = Parts((fitted,), (dataset,), ((0, cut, len(dataset)),), 10.0)
     turns = _in_turn(parts, plain, corrected, 1)
     assert turns is not None
-    before, after = (errorsANGLE[2.0] for errors in turns)
+    before, after = (errors["alpha_h"][2.0] for errors in turns)
     assert sorted(set(before.block.tolist())) == [0, 1, 2]
     assert after.rms < 0.5 * before.rms
     # a long sealed part tells its own scatter
