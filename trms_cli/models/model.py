@@ -18,6 +18,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -45,8 +46,8 @@ class Signal:
 class RigAxis:
     """A mechanical axis of the rig, as effects and mechanical stops refer to it."""
 
-    angle: str  #: Name of the state that is the axis' angle, rad
-    moment: str  #: Name of the disturbance that is a torque on the axis, N m
+    angle: str  #: Name of the state that is the axis' angle or position, rad or m
+    moment: str  #: Name of the disturbance that is a torque or force on the axis, N m or N
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,12 @@ class Model(ABC):
     parameters: ParameterSet  #: The order and the present values of ``p``
     controlled: tuple[str, ...]  #: Names of the states that references are for
     input_limits: Mapping[str, float]  #: Symmetric bound of each input, in the input's unit
-    stops: Mapping[str, float]  #: Mechanical range of an angle, symmetric, rad
-    axes: Mapping[str, RigAxis]  #: The mechanical axes by name (``pitch``, ``yaw``)
-    rotors: Mapping[str, RigRotor]  #: The rotors by name (``main``, ``tail``)
+    #: Mechanical range of an angle or position, symmetric, in its unit; one without has no stop
+    stops: Mapping[str, float] = MappingProxyType({})
+    axes: Mapping[str, RigAxis] = MappingProxyType(
+        {}
+    )  #: Mechanical axes by name (``pitch``, ``yaw``)
+    rotors: Mapping[str, RigRotor] = MappingProxyType({})  #: Rotors by name (``main``, ``tail``)
     #: Whether an explicit integrator needs steps far below the dynamics of interest
     stiff: bool = False
     #: Whether impulses, where there are any, hold an axis at rest; those of regularised friction,
@@ -97,9 +101,9 @@ class Model(ABC):
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         """Time derivative of the states, shape (n_x, 1)."""
 
-    @abstractmethod
     def measurement(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
-        """Measured outputs, shape (n_y, 1)."""
+        """Measured outputs, shape (n_y, 1): by default the states of these names."""
+        return ca.vertcat(*(x[self.state_index(signal.name)] for signal in self.outputs))
 
     def transition(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         """States one ``sample_time`` later, shape (n_x, 1), of a model that only steps.

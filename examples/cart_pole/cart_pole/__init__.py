@@ -1,0 +1,1 @@
+"""A cart with a pendulum: one force, two positions, unstable upright."""

@@ -1,0 +1,1 @@
+"""A servo drive: one force, one position."""
