@@ -83,7 +83,7 @@ class Model(ABC):
     axes: Mapping[str, RigAxis] = MappingProxyType(
         {}
     )  #: Mechanical axes by name (``pitch``, ``yaw``)
-    rotors: Mapping[str, RigRotor] = MappingProxyType({})  #: Rotors by name (``main``, ``tail``)
+    rotors: Mapping[str, RigRotor] = MappingProxyType({})  #: The rotors by name (``main``)
     #: Whether an explicit integrator needs steps far below the dynamics of interest
     stiff: bool = False
     #: Whether impulses, where there are any, hold an axis at rest; those of regularised friction,

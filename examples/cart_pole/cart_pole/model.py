@@ -1,7 +1,7 @@
 """A cart on a rail that carries a pendulum, upright at angle zero, where it is unstable.
 
-With cart mass ``M``, bob mass ``m`` at length ``l``, viscous frictions ``c`` and ``b``, force ``F`` on
-the cart and a torque on the joint, the Lagrangian equations are::
+With cart mass ``M``, bob mass ``m`` at length ``l``, viscous frictions ``c`` and ``b``, force ``F``
+on the cart and a torque on the joint, the Lagrangian equations are::
 
     (M + m) s̈ + m l cos θ θ̈ − m l sin θ θ̇² = F − c ṡ + d_cart
     m l cos θ s̈ + m l² θ̈ − m g l sin θ     = −b θ̇ + d_pendulum
@@ -21,7 +21,7 @@ _PARAMETERS = ParameterSet(
         Parameter("l", 0.3, "m", prior_sd=0.03, lower=0.05, description="length to the bob"),
         Parameter("c", 2.0, "N*s/m", prior_sd=0.3, lower=0.0, description="friction of the cart"),
         Parameter(
-            "b", 0.002, "N*m*s", prior_sd=0.5, lower=0.0, description="friction of the joint"
+            "b", 0.002, "N*m*s", prior_sd=0.5, lower=0.0, description="friction at the joint"
         ),
         Parameter("g", 9.81, "m/s^2", description="gravity"),
     ]
@@ -56,7 +56,7 @@ class CartPole(Model):
 
     def dynamics(self, x: ca.SX, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
         _, velocity, angle, rate = ca.vertsplit(x)
-        M, m, l, c, b, g = ca.vertsplit(p)  # noqa: E741
+        M, m, l, c, b, g = ca.vertsplit(p)
         sine, coupling = ca.sin(angle), m * l * ca.cos(angle)
         force = u - c * velocity + w[0] + m * l * sine * rate**2
         torque = m * g * l * sine - b * rate + w[1]
