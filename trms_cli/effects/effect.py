@@ -9,17 +9,19 @@ leaves every bit of a simulation as it was.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import ClassVar, get_type_hints
+from typing import ClassVar, get_args, get_type_hints
 
 import casadi as ca
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ModelError
-from trms_cli.models.dry_friction import apply_dry_friction, axis_of, moment_index
+from trms_cli.models.dry_friction import apply_dry_friction, axis_of
 from trms_cli.models.model import Model, RigAxis, Signal, Window, index_of, names
 from trms_cli.models.parameters import Parameter
+from trms_cli.models.scales import BENCH, PortScale, acceleration_function, at_port, port_scale
 
 __all__ = ["Effect", "EffectContext", "axis_of", "resisting_impulse", "rotor_input"]
 
@@ -84,7 +86,7 @@ class EffectContext:
         mobility : (n, n)
             1/(kg m²): ``mobility[i, j]`` is what one N m on axis ``j`` adds to axis ``i``.
         """
-        both = _acceleration_function(self.model, axes)
+        both = acceleration_function(self.model, axes)
         acceleration, mobility = both(self.x, self.u, self.p, self.w)
         return acceleration, mobility
 
@@ -103,6 +105,8 @@ class Effect(ABC):
     #: Whether it may begin while a rig runs, as what is hung on, rubs or slips does: a law of the
     #: rig's build hardly does
     may_begin: ClassVar[bool] = True
+    #: What is large where it acts; see :meth:`for_model`
+    rig_scale: ClassVar[PortScale] = BENCH
     #: An effect of the same axis that this one is where one of some sizes is below a value: its
     #: class, and these values by size
     special_case: ClassVar["tuple[type[Effect], Mapping[str, float]] | None"] = None
@@ -122,18 +126,41 @@ class Effect(ABC):
         """One of the fields as a parameter.
 
         Its bounds are those of the field's annotation, or a nearer upper one; ``typical`` is the
-        range that rigs span.
+        range that small benches span. Both, and the unit, become those of the model at hand.
         """
         lower, highest = _ranges(type(self)).get(name, (-math.inf, math.inf))
-        return Parameter(
+        value = getattr(self, name)
+        size = Parameter(
             name,
-            getattr(self, name),
+            math.nan if value is None else value,
             unit,
             lower=lower,
             upper=highest if upper is None else upper,
             typical=typical,
             description=description,
         )
+        return at_port(size, self.rig_scale)
+
+    def for_model(self, model: Model) -> "Effect":
+        """The effect as it acts on a model, with a value for each size that is not given.
+
+        Raises :class:`ModelError` if the model lacks what the effect acts on.
+        """
+        self.check(model)
+        own = copy(self)
+        object.__setattr__(own, "rig_scale", port_scale(model, **own.port(model)))
+        for size in own.parameters():
+            if getattr(own, size.name, 0.0) is None:
+                object.__setattr__(own, size.name, size.value)
+        return own
+
+    def port(self, model: Model) -> Mapping[str, str]:
+        """Where it acts on a model: an ``axis``, ``input`` or ``output`` by its name."""
+        if hasattr(self, "axis"):
+            return {"axis": self.axis}
+        if hasattr(self, "rotor"):
+            return {"input": model.inputs[rotor_input(model, self.rotor)].name}
+        return {}
 
     def check(self, model: Model) -> None:
         """Raise :class:`ModelError` if the model lacks what the effect acts on.
@@ -218,21 +245,29 @@ class Effect(ABC):
 
 
 class SensorEffect(Effect):
-    """An effect on one measured channel: the angle of an ``axis``, or the speed of a ``rotor``."""
+    """An effect on one measured channel, named by its ``axis`` or ``rotor``.
+
+    That is the axis whose angle it shows, the rotor whose speed it shows, or the output itself.
+    """
 
     def row(self, model: Model) -> int:
         """Position of the channel in ``y``.
 
         Raises ModelError if the model does not measure it.
         """
+        name: str = getattr(self, "axis", "") or getattr(self, "rotor", "")
+        if name in names(model.outputs):
+            return output_row(model, name)
         if hasattr(self, "axis"):
-            return output_row(model, axis_of(model, self.axis).angle)
-        assert hasattr(self, "rotor")
-        rotor_input(model, self.rotor)
-        return output_row(model, model.rotors[self.rotor].speed)
+            return output_row(model, axis_of(model, name).angle)
+        rotor_input(model, name)
+        return output_row(model, model.rotors[name].speed)
 
     def check(self, model: Model) -> None:
         self.row(model)
+
+    def port(self, model: Model) -> Mapping[str, str]:
+        return {"output": model.outputs[self.row(model)].name}
 
     def inverse(
         self, recorded: FloatArray, step: float, sizes: Mapping[str, float]
@@ -267,6 +302,8 @@ def _ranges(kind: type[Effect]) -> dict[str, tuple[float, float]]:
     """Least and largest value of each field whose annotation has them."""
     ranges = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
+        # of what may be left out, NotNegative | None
+        hint = next((part for part in get_args(hint) if hasattr(part, "__metadata__")), hint)
         for limits in getattr(hint, "__metadata__", ()):
             lower = -math.inf if limits.ge is None else float(limits.ge)
             ranges[name] = (lower, math.inf if limits.le is None else float(limits.le))
@@ -274,16 +311,18 @@ def _ranges(kind: type[Effect]) -> dict[str, tuple[float, float]]:
 
 
 def rotor_input(model: Model, rotor: str) -> int:
-    """Position of a rotor's input in ``u``.
+    """Position in ``u`` of an input, or of the input of a rotor.
 
-    Raises ModelError if the model has no such rotor.
+    Raises ModelError if the model has no such rotor or input.
     """
-    if rotor not in model.rotors:
+    input_names = names(model.inputs)
+    if rotor not in model.rotors and rotor not in input_names:
         raise ModelError(
-            f"model {model.name!r} has no {rotor} rotor",
-            remedy=f"it has: {', '.join(model.rotors) or 'none'}",
+            f"model {model.name!r} has no {rotor} rotor and no input of that name",
+            remedy=f"it has: {', '.join((*model.rotors, *input_names))}",
         )
-    return index_of(model.inputs, model.rotors[rotor].input, "an input")
+    name = model.rotors[rotor].input if rotor in model.rotors else rotor
+    return index_of(model.inputs, name, "an input")
 
 
 def speed_row(model: Model, rotor: str) -> int:
@@ -351,23 +390,12 @@ def resisting_impulse(
     return apply_dry_friction(at.model, (at.x, at.u, at.p, at.w), part, torque, duration)
 
 
-# The functions below are built once for a model and inlined wherever they are called: an effect is
-# asked at every stage of every substep, and each effect asks the model beneath it, which without
-# them would take a time that doubles with each effect.
+# Built once for a model and inlined wherever it is called: an effect is asked at every stage of
+# every substep, and each effect asks the model beneath it, which would take a time that doubles
+# with each effect.
 
 
 @lru_cache(maxsize=128)
 def _slope_function(model: Model, row: int) -> ca.Function:
     at = model.symbols()
     return ca.Function("slope", list(at), [model.dynamics(*at)[row]])
-
-
-@lru_cache(maxsize=128)
-def _acceleration_function(model: Model, axes: tuple[str, ...]) -> ca.Function:
-    x, u, p, w = model.symbols()
-    f = model.dynamics(x, u, p, w)
-    rates = f[[model.state_index(axis_of(model, axis).angle) for axis in axes]]
-    acceleration = ca.jtimes(rates, x, f)
-    columns = [moment_index(model, axis) for axis in axes]
-    mobility = ca.jacobian(acceleration, w)[:, columns]
-    return ca.Function("accelerations", [x, u, p, w], [acceleration, mobility])

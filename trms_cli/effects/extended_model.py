@@ -10,6 +10,7 @@ import numpy as np
 from trms_cli.core.errors import ModelError
 from trms_cli.effects.effect import Effect, EffectContext
 from trms_cli.models.model import FloatArray, Model, Signal, Window
+from trms_cli.models.scales import unit_at_port
 
 
 class ExtendedModel(Model):
@@ -26,7 +27,7 @@ class ExtendedModel(Model):
 
     def __init__(self, base: Model, name: str, effect: Effect) -> None:
         try:
-            effect.check(base)
+            effect = effect.for_model(base)
         except ModelError as error:
             if not error.where:
                 error.where = f"effect.{name}"
@@ -44,7 +45,7 @@ class ExtendedModel(Model):
         self.base, self.effect, self.effect_name = base, effect, name
         self.take_over(base)
         self.friction_holds = base.friction_holds or _has_impulse(effect)
-        self.states = (*base.states, *_prefixed(effect.states(), name))
+        self.states = (*base.states, *_prefixed(effect, effect.states(), name))
         self._sizes = tuple(parameter.name for parameter in own)
         self.parameters = base.parameters.concatenate(
             replace(parameter, name=f"{name}.{parameter.name}") for parameter in own
@@ -81,7 +82,7 @@ class ExtendedModel(Model):
         return self.base.quantities(at.x, u, at.p)
 
     def memory(self, step: float) -> tuple[Signal, ...]:
-        own = _prefixed(self.effect.memory(step), self.effect_name)
+        own = _prefixed(self.effect, self.effect.memory(step), self.effect_name)
         return (*self.base.memory(step), *own)
 
     def input_path(
@@ -100,7 +101,7 @@ class ExtendedModel(Model):
         return ca.vertcat(self.effect.impulse(at, duration), at.own)
 
     def sensor_memory(self, step: float) -> tuple[Signal, ...]:
-        own = _prefixed(self.effect.sensor_memory(step), self.effect_name)
+        own = _prefixed(self.effect, self.effect.sensor_memory(step), self.effect_name)
         return (*self.base.sensor_memory(step), *own)
 
     def sensor_path(
@@ -200,5 +201,9 @@ def _dynamics_function(model: ExtendedModel) -> ca.Function:
     return ca.Function("dynamics", list(at), [model._dynamics(*at)])
 
 
-def _prefixed(signals: tuple[Signal, ...], name: str) -> tuple[Signal, ...]:
-    return tuple(replace(signal, name=f"{name}.{signal.name}") for signal in signals)
+def _prefixed(effect: Effect, signals: tuple[Signal, ...], name: str) -> tuple[Signal, ...]:
+    def own(signal: Signal) -> Signal:
+        unit = unit_at_port(signal.unit, effect.rig_scale)
+        return replace(signal, name=f"{name}.{signal.name}", unit=unit)
+
+    return tuple(map(own, signals))

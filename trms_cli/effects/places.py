@@ -48,7 +48,7 @@ def places_of(model: ExtendedModel) -> tuple[str, ...]:
     axis = base.axes.get(getattr(effect, "axis", ""))
     rotor = base.rotors.get(getattr(effect, "rotor", ""))
     if _overrides(effect, "input_path", "memory"):
-        inputs = names(base.inputs) if rotor is None else (rotor.input,)
+        inputs = tuple(effect.port(base).values()) or names(base.inputs)
         return tuple(actuator_place(base, name) for name in inputs)
     if _overrides(effect, "output", "reading", "sensor_path"):
         outputs = names(base.outputs)

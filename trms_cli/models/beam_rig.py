@@ -32,7 +32,7 @@ DISTURBANCES = {
     "main_motor": Signal("main_motor", "N*m", "torque on the main rotor"),
     "tail_motor": Signal("tail_motor", "N*m", "torque on the tail rotor"),
 }
-_AXES = {"pitch": RigAxis("alpha_v", "pitch_moment"), "yaw": RigAxis("alpha_h", "yaw_moment")}
+AXES = {"pitch": RigAxis("alpha_v", "pitch_moment"), "yaw": RigAxis("alpha_h", "yaw_moment")}
 #: The rotors of a beam, by name.
 ROTORS = {
     "main": RigRotor("u_v", "omega_v", "main_motor", "pitch"),
@@ -43,11 +43,13 @@ ROTORS = {
 class BeamRig(Model):
     """A model whose equations are all in :meth:`_equations`."""
 
+    bench_sizes = True
+
     def _frame(
         self, content: ParameterFile, input_limit: float, moving: Sequence[str] = ("pitch", "yaw")
     ) -> None:
         """Axes that move, their rotors and torques, what is controlled, limits and stops."""
-        self.axes = {name: _AXES[name] for name in moving}
+        self.axes = {name: AXES[name] for name in moving}
         self.rotors = {name: r for name, r in ROTORS.items() if r.axis in moving}
         self.controlled = tuple(axis.angle for axis in self.axes.values())
         inputs = tuple(rotor.input for rotor in self.rotors.values())

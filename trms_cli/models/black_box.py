@@ -40,6 +40,8 @@ class BlackBox(SteppedModel):
     and mechanical stops by angle (rad). Inputs without one have 2.5 V, or 1 for normalised ones.
     """
 
+    bench_sizes = True
+
     def __init__(
         self,
         outputs: Sequence[Signal],

@@ -84,6 +84,9 @@ class Model(ABC):
         {}
     )  #: Mechanical axes by name (``pitch``, ``yaw``)
     rotors: Mapping[str, RigRotor] = MappingProxyType({})  #: The rotors by name (``main``)
+    #: Whether what is typical of small benches with two rotors (friction in N m, delays in s) is
+    #: typical of it; else that is taken in the proportion of :mod:`trms_cli.models.scales`
+    bench_sizes: bool = False
     #: Whether an explicit integrator needs steps far below the dynamics of interest
     stiff: bool = False
     #: Whether impulses, where there are any, hold an axis at rest; those of regularised friction,

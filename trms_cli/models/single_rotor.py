@@ -44,6 +44,8 @@ class SingleRotor(Model):
         Where the interface saturates, V.
     """
 
+    bench_sizes = True
+
     def __init__(
         self,
         *,
