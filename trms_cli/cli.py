@@ -45,6 +45,7 @@ COMMANDS: dict[str, str] = {
     "import": "turn a recording (CSV, MAT) into an MCAP log",
     "export": "turn an MCAP log into CSV, Parquet or MAT; add the 3D view for Foxglove",
     "export-controller": "a controller as C source for a rig's own computer",
+    "init": "a folder for a rig of your own: model, driver, configuration, tests, CI",
     "list": "the plugins there are, with one line each",
     "allow": "let the classes of a package of yours, or of somebody else's, run",
     "doctor": "tell whether this machine is ready, and what to install",

@@ -282,6 +282,7 @@ PLAIN = {
     "watch": ["nothing.mcap", "speed=2", "once=true"],
     "list": ["ref", "json=true"],
     "allow": ["json=true"],
+    "init": ["my-rig", "example=cart_pole"],
     "doctor": ["json=true"],
 }
 NEITHER = {"blind", "rig", "sweep", "completion", "help"}  # these have words of their own

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from trms_cli.commands.plain_options import as_options
 from trms_cli.composition.catalogue import take_config_dirs
+from trms_cli.composition.rig_folder import rig_folder
 from trms_cli.core import trust
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.core.invocation import program
@@ -23,7 +24,8 @@ usage: trms allow [PACKAGE [--config-dir DIR]…] [--remove PACKAGE] [--json]
 
   PACKAGE            an installed one, as Python imports it: my_lab
   --config-dir DIR   or one that lies in a folder of configuration, or beside it; then it is
-                     allowed in that place alone, and a namesake elsewhere is not
+                     allowed in that place alone, and a namesake elsewhere is not; in the folder
+                     of a rig (trms init) its own folders count without being named
   --remove PACKAGE   allow it no longer
   --json             what is allowed as JSON (schema trms.allowed/1)
 
@@ -41,7 +43,9 @@ _REMOVE = "--remove"
 def main(argv: Sequence[str]) -> int:
     """Allow a package, remove one, or tell what is allowed."""
     options = {"json": False, "remove": True, "config-dir": True}
-    folders, rest = take_config_dirs(as_options(argv, options))
+    given = as_options(argv, options)
+    folders, rest = take_config_dirs(given)
+    only_there = len(rest) != len(given)  # folders were named; else those of a rig's folder
     as_json = "--json" in rest
     words = [word for word in rest if word not in ("--json", "--list")]
     removing = _REMOVE in words or any(word.startswith(f"{_REMOVE}=") for word in words)
@@ -62,20 +66,20 @@ def main(argv: Sequence[str]) -> int:
         if removing:
             _remove(name, packages)
         else:
-            packages[name] = _package_place(name, folders)
+            packages[name] = _package_place(name, folders, only_there)
     if names:
         _keep(packages)
     _tell(packages, as_json=as_json)
     return EXIT_OK
 
 
-def _package_place(name: str, folders: Sequence[Path]) -> Path | None:
+def _package_place(name: str, folders: Sequence[Path], only_there: bool) -> Path | None:
     """Where a package lies; None for an installed one."""
     trust.check_name(name)
     place = trust.place_of(name, folders)
     if place is not None:
         return place
-    if folders:
+    if only_there:
         raise ConfigurationError(
             f"there is no package {name!r} in {', '.join(map(str, folders))}, nor beside it",
             where="--config-dir",
@@ -114,6 +118,8 @@ def _keep(packages: dict[str, Path | None]) -> None:
 
 def _tell(packages: dict[str, Path | None], *, as_json: bool) -> None:
     now = sorted(trust.allowed_for_now())
+    rig = rig_folder()
+    waiting = [p for p in (rig.packages if rig else ()) if p not in packages and p not in now]
     if as_json:
         places = {name: None if at is None else str(at) for name, at in sorted(packages.items())}
         document = {"schema": trust.SCHEMA, "packages": places, "for_this_call": now}
@@ -121,9 +127,10 @@ def _tell(packages: dict[str, Path | None], *, as_json: bool) -> None:
         return
     if not packages and not now:
         sys.stdout.write("no package but trms itself is allowed\n")
-        return
-    width = max(map(len, [*packages, *now])) + 2
+    width = max(map(len, [*packages, *now, *waiting]), default=0) + 2
     for name, place in sorted(packages.items()):
         sys.stdout.write(f"{name:{width}}{'installed' if place is None else f'in {place}'}\n")
     for name in now:
         sys.stdout.write(f"{name:{width}}by {trust.ENVIRONMENT}, wherever it lies\n")
+    for name in waiting:
+        sys.stdout.write(f"{name:{width}}not allowed, and used here: {program()} allow {name}\n")

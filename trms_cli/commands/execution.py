@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.composer import Composition, Outcome, Task, compose_request
-from trms_cli.composition.overrides import read_request
+from trms_cli.composition.overrides import default_words, read_request
 from trms_cli.core.errors import EXIT_OK, EXIT_TERMINATED, Termination
 
 if TYPE_CHECKING:
@@ -24,14 +24,17 @@ def help_of_options(noun: str) -> str:
 """
 
 
-def execute(argv: Sequence[str], primary: str, task: Task) -> int:
+def execute(argv: Sequence[str], primary: str, task: Task, *, recorded: bool = False) -> int:
     """Do what `argv` asks: show the configuration, run `task` on it, or sweep.
 
     `argv`: overrides, and ``--config-dir DIR``, ``--cfg job``, ``-m``. `primary`: ``run`` for
     ``configs/run.yaml``. `task`: a module's function (a launcher may send it to another process)
     that gets a `Composition` and returns the exit code or an `Outcome`. The exit code of a sweep is
-    1 when any job failed.
+    1 when any job failed. `recorded`: whether `argv` says what an earlier command did, so that the
+    options of the rig's folder that we are in do not count.
     """
+    if not recorded:
+        argv = [*default_words(argv, primary), *argv]
     swept = any(word in ("-m", "--multirun") for word in argv)
     request = read_request([word for word in argv if not (swept and word == "--json")], primary)
     if request.multirun:

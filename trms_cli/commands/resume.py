@@ -89,7 +89,8 @@ class Resumption:
             raise in_use(folder)
         places = [f"--config-dir={place}" for place in request["config_dirs"]]
         task: Task = partial(perform, folder=folder)
-        return execute([*places, *request["overrides"], *argv], self.command, task)
+        words = [*places, *request["overrides"], *argv]
+        return execute(words, self.command, task, recorded=True)
 
     def _request(self, file: Path) -> dict[str, Any]:
         try:

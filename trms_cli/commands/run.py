@@ -66,7 +66,7 @@ def main(argv: Sequence[str]) -> int:
         again = repetition(log, rest, COMPOSES)
         if isinstance(again, Composition):
             return perform(again).exit_code
-        return execute(again, COMPOSES, perform)
+        return execute(again, COMPOSES, perform, recorded=True)
 
 
 def perform(composition: Composition) -> Outcome:

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from trms_cli.composition.rig_folder import config_dirs
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.resources import config_folder
 
@@ -20,6 +21,7 @@ _PRIMARIES = ("run", "identify", "validate", "excite", "stability", "sweep")
 
 #: Groups that the primary configurations do not have: they are chosen inside others.
 _INSIDE_OTHERS = {
+    "law": "of an effect on any input, axis or output of a model: effect=PORT_LAW",
     "disturbance": "torques on the rig: disturbance@plant.disturbances=NAME",
     "parameters": "values of a model: model.parameter_set=NAME",
     "networks": "trained networks of the models narx_…: model.network=NAME",
@@ -50,11 +52,11 @@ Groups = dict[str, dict[str, Option]]
 def take_config_dirs(argv: Sequence[str]) -> tuple[tuple[Path, ...], list[str]]:
     """Take every ``--config-dir DIR`` (or ``--config-dir=DIR``) off `argv`, checked.
 
-    Returns (folders, rest); the folders as absolute paths in the order given, and what is left of
-    `argv`.
+    Returns (folders, rest); the folders as absolute paths in the order given, those of the rig's
+    folder that we are in after them (:mod:`.rig_folder`), and what is left of `argv`.
     """
-    folders, rest = take_option(argv, "--config-dir", "-cd")
-    return tuple(map(_checked_folder, folders)), rest
+    typed, rest = take_option(argv, "--config-dir", "-cd")
+    return tuple(dict.fromkeys((*map(_checked_folder, typed), *config_dirs()))), rest
 
 
 def take_allowed(argv: Sequence[str]) -> list[str]:

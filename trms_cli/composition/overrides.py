@@ -11,7 +11,15 @@ from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from trms_cli.composition.catalogue import Groups, read_primary, take_config_dirs
+from trms_cli.composition.catalogue import (
+    Groups,
+    Option,
+    read_groups,
+    read_primary,
+    read_yaml,
+    take_config_dirs,
+)
+from trms_cli.composition.rig_folder import rig_folder
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.invocation import program
 from trms_cli.core.plugins import nearest
@@ -79,6 +87,41 @@ def read_request(argv: Sequence[str], primary: str = "run") -> ComposeRequest:
         else:
             overrides.append(word)
     return ComposeRequest(tuple(overrides), config_dirs, show, multirun)
+
+
+def default_words(argv: Sequence[str], primary: str) -> list[str]:
+    """The rig's own options as words, for the groups in which `argv` chooses none."""
+    folder = rig_folder()
+    if folder is None or not folder.defaults:
+        return []
+    dirs, words = take_config_dirs(argv)
+    declared = read_primary(primary, dirs).defaults
+    groups = read_groups(dirs)
+    unknown = next((group for group in folder.defaults if group not in groups), None)
+    if unknown is not None:
+        raise ConfigurationError(
+            f"there is no group {unknown!r}",
+            where=f"{folder.file}, defaults",
+            remedy=nearest(unknown, groups),
+        )
+    chosen = {word.lstrip("+~").partition("=")[0] for word in words}
+    for word in words:
+        if word.startswith("experiment="):
+            chosen |= _choices_of(groups.get("experiment", {}).get(word.partition("=")[2]))
+    return [
+        f"{group}={option}"
+        for group, option in folder.defaults.items()
+        if group in declared and group not in chosen
+    ]
+
+
+def _choices_of(experiment: Option | None) -> set[str]:
+    """Groups in which a scenario chooses an option."""
+    if experiment is None:
+        return set()
+    entries = (read_yaml(experiment.file) or {}).get("defaults", [])
+    keys = (key for entry in entries if isinstance(entry, dict) for key in entry)
+    return {str(key).removeprefix("override").strip().lstrip("/") for key in keys}
 
 
 def _unknown_option(

@@ -1,1 +1,1 @@
-"""A cart with a pendulum: one force, two positions, unstable upright."""
+"""A cart with a pendulum: the model and the driver."""

@@ -1,1 +1,1 @@
-"""A servo drive: one force, one position."""
+"""A servo drive: the model and the driver."""
