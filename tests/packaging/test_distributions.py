@@ -24,6 +24,7 @@ trms stability study=equilibria out=stability
 trms validate real=pid/run.mcap out=validation
 trms report newton --out newton.html
 trms plot newton/run.mcap --format pdf --out newton.pdf
+trms init my_rig
 """
 #: What a bench writes.
 RECORDING = "t[ms],u_v[%],alpha_v[deg],omega_v[rpm]\n" + "".join(
