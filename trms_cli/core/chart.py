@@ -313,6 +313,22 @@ Share = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
+class DiagramRow:
+    """A row of the rig's block diagram: from a command to what is measured."""
+
+    places: Mapping[str, str]  #: By kind: ``actuator``, ``motor``, ``thrust``, ``moment``…
+    #: ``command``, ``output``, ``speed``: Signals at its ends and at its tacho; empty for none
+    command: str = ""
+    output: str = ""
+    speed: str = ""
+
+    @property
+    def channels(self) -> set[str]:
+        """What a recording of it may have."""
+        return {self.command, self.output, self.speed} - {""}
+
+
+@dataclass(frozen=True)
 class RigDiagram:
     """The rig from its commands to its sensors, with a share at each place that has one."""
 
@@ -320,6 +336,7 @@ class RigDiagram:
     shares: Mapping[str, Share]  #: By place: ``yaw_moment``
     channels: Sequence[str] = ()  #: Recorded ones; a sensor of none of them is dashed
     caption: str = ""
+    rows: Sequence[DiagramRow] = ()  #: Of the rig; empty for those of a beam with two rotors
 
 
 def as_data(chart: Chart) -> dict[str, Any]:

@@ -12,18 +12,21 @@ of it; beyond that range nothing is known, and they stay as at its ends.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 import casadi as ca
 from msgspec import Meta
 
 from trms_cli.core.errors import ModelError
 from trms_cli.core.plugins import require_known
-from trms_cli.effects.effect import Effect, EffectContext, SensorEffect, axis_of, rotor_input
+from trms_cli.effects.effect import Effect, EffectContext, SensorEffect
+from trms_cli.models import beam_rig
+from trms_cli.models.dry_friction import axis_of
 from trms_cli.models.model import Model, index_of
 from trms_cli.models.parameters import Parameter
+from trms_cli.models.rig_parts import ANGLES, RigParts, parts_of
+from trms_cli.models.scales import scales_of
 
-Equation = Literal["pitch_moment", "yaw_moment", "main_motor", "tail_motor"]
 #: Bumps over the range of an angle or command of the place's own, and of another one.
 _BUMPS, _FEW_BUMPS = 7, 5
 #: Half ranges from the middle beyond which a bump stays as it is.
@@ -32,17 +35,8 @@ _END = 1.2
 HARMONICS = range(3, 17)
 #: Of a rate's or a speed's largest value, within which a sign turns.
 _SHARP, _SOFT = 0.03, 0.2
-#: Middle and half of the range of each variable of a rig of this kind: rad, rad/s, V.
-USUAL_SPANS: Mapping[str, tuple[float, float]] = {
-    "pitch_angle": (0.0, 0.6),
-    "yaw_angle": (0.0, 1.5),
-    "pitch_rate": (0.0, 1.0),
-    "yaw_rate": (0.0, 1.0),
-    "main_speed": (0.0, 200.0),
-    "tail_speed": (0.0, 300.0),
-    "main_command": (0.0, 2.5),
-    "tail_command": (0.0, 2.5),
-}
+#: rad/s. Half of the range of a rotor's speed.
+_USUAL_SPEED = 200.0
 
 #: Middle and half of a variable's range as expressions, by variable.
 Spans = Mapping[str, tuple[ca.SX, ca.SX]]
@@ -74,11 +68,11 @@ class Residual(Effect):
         return (self.size("share", "1", (0.5, 1.0), "how much of it acts"),)
 
     def check(self, model: Model) -> None:
-        valid_names = term_names(model, self.place)
+        valid_names, usual = term_names(model, self.place), usual_spans(model)
         for name, _ in self.terms:
             require_known(name, valid_names, f"there is no term {name!r}", "terms", ModelError)
         for name, *_ in self.spans:
-            require_known(name, USUAL_SPANS, f"there is no variable {name!r}", "spans", ModelError)
+            require_known(name, usual, f"there is no variable {name!r}", "spans", ModelError)
 
     def value(self, at: EffectContext) -> ca.SX:
         """All terms together, in the unit of the place."""
@@ -93,28 +87,22 @@ class Residual(Effect):
         return {name: at.sizes["share"] * value for name, value in self.terms}
 
     def ranges(self, at: EffectContext) -> Spans:
-        """Middle and half of the range of each variable."""
-        return {name: (ca.SX(middle), ca.SX(half)) for name, (middle, half) in self.spanned.items()}
-
-    @property
-    def spanned(self) -> dict[str, tuple[float, float]]:
         """Middle and half of the range of each variable, the usual ones where none are given."""
-        return {**USUAL_SPANS, **{name: (middle, half) for name, middle, half in self.spans}}
+        given = {name: (middle, half) for name, middle, half in self.spans}
+        return symbolic(usual_spans(at.model) | given)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualForce(Residual):
     """A force on an equation."""
 
-    equation: Equation
+    equation: str  #: Name of a disturbance that moves an axis or a rotor
 
     @property
     def place(self) -> str:
         return self.equation
 
     def check(self, model: Model) -> None:
-        side, kind = self.equation.split("_")
-        axis_of(model, side) if kind == "moment" else rotor_input(model, side)
         index_of(model.disturbances, self.equation, f"a disturbance of model {model.name!r}")
         super().check(model)
 
@@ -133,6 +121,7 @@ class ResidualReading(Residual, SensorEffect):
         return f"{self.axis}_sensor"
 
     def check(self, model: Model) -> None:
+        axis_of(model, self.axis)
         SensorEffect.check(self, model)
         super().check(model)
 
@@ -140,81 +129,96 @@ class ResidualReading(Residual, SensorEffect):
         return self.add_to_channel(at, y, self.value(at))
 
 
+def usual_spans(model: Model) -> dict[str, tuple[float, float]]:
+    """Middle and half of the range of each variable, as rigs of a model usually have them."""
+    if model.bench_sizes:
+        return dict(beam_rig.USUAL_SPANS)
+    model = model.without_effects()
+    parts, scales = parts_of(model), scales_of(model)
+    halves: dict[str, float] = {}
+    for axis in model.axes:
+        halves[_variable(parts.angle(axis))] = scales.travels[axis]
+        halves[_variable(parts.rate(axis))] = scales.travels[axis] / scales.time
+    halves |= {f"{drive}_command": scales.inputs[name] for drive, name in parts.drives.items()}
+    halves |= {f"{rotor}_speed": _USUAL_SPEED for rotor in model.rotor_speeds}
+    return {name: (0.0, half) for name, half in halves.items()}
+
+
+def symbolic(spans: Mapping[str, tuple[float, float]]) -> Spans:
+    """As expressions."""
+    return {name: (ca.SX(middle), ca.SX(half)) for name, (middle, half) in spans.items()}
+
+
 def term_names(model: Model, place: str) -> tuple[str, ...]:
     """Names of the terms that a model has at a place, in their order."""
     x, u, p, w = model.symbols()
     at = EffectContext(model, x, u, p, w, ca.SX.zeros(0), {})
-    spans = {name: (ca.SX(m), ca.SX(h)) for name, (m, h) in USUAL_SPANS.items()}
-    return tuple(name for name, _ in terms(at, place, spans))
+    return tuple(name for name, _ in terms(at, place, symbolic(usual_spans(model))))
+
+
+def _variable(words: str) -> str:
+    """*yaw angle* as ``yaw_angle``; of an axis that there is not, what no variable is called."""
+    return words.replace(" ", "_")
 
 
 def variables(at: EffectContext) -> dict[str, ca.SX]:
-    """What a term may be of, by name, as far as the model has it: rad, rad/s, V."""
-    model = at.model
+    """What a term may be of, by name, as far as the model has it: rad or m, by s, V."""
+    model, parts = at.model, parts_of(at.model)
     expressions: dict[str, ca.SX] = {}
-    for axis in ("pitch", "yaw"):
-        if axis in model.axes:
-            expressions[f"{axis}_angle"], expressions[f"{axis}_rate"] = (
-                at.angle(axis),
-                at.rate(axis),
-            )
-    for rotor in ("main", "tail"):
-        if rotor in model.rotors:
-            expressions[f"{rotor}_command"] = at.u[
-                index_of(model.inputs, model.rotors[rotor].input, "input")
-            ]
-            if rotor in model.rotor_speeds:
-                expressions[f"{rotor}_speed"] = at.speed(rotor)
+    for axis in model.axes:
+        expressions[_variable(parts.angle(axis))] = at.angle(axis)
+        expressions[_variable(parts.rate(axis))] = at.rate(axis)
+    for drive, name in parts.drives.items():
+        expressions[f"{drive}_command"] = at.u[index_of(model.inputs, name, "input")]
+        if drive in model.rotor_speeds:
+            expressions[f"{drive}_speed"] = at.speed(drive)
     return expressions
 
 
 def terms(at: EffectContext, place: str, spans: Spans) -> Iterator[_Term]:
     """The terms at a place, by name."""
-    expressions = variables(at)
+    expressions, parts = variables(at), parts_of(at.model)
     scaled = {name: (v - spans[name][0]) / spans[name][1] for name, v in expressions.items()}
     # signs and powers are those of the variable itself: it has a zero of its own
     plain = {
         name: v / (ca.fabs(spans[name][0]) + spans[name][1])
         for name, v in expressions.items()
-        if not name.endswith("angle")
+        if not name.endswith(ANGLES)
     }
-    side, kind = place.split("_")
+    part, kind = parts.part_of(place), parts.kind_of(place)
     if kind == "sensor":
-        yield from _of_an_angle(f"{side}_angle", expressions, scaled)
+        yield from _of_an_angle(parts, part, expressions, scaled)
     elif kind == "moment":
-        own, other = ("main", "tail") if side == "pitch" else ("tail", "main")
-        yield from _of_an_axis(
-            side, "yaw" if side == "pitch" else "pitch", expressions, scaled, plain
-        )
-        yield from _of_rotors(own, other, plain)
-        yield from _of_thrust(side, own, scaled, plain)
-    else:
-        axis = "pitch" if side == "main" else "yaw"
-        yield from _of_a_drive(side, "tail" if side == "main" else "main", axis, scaled, plain)
+        own = parts.drive_of(part)
+        yield from _of_an_angle(parts, part, expressions, scaled)
+        yield from _of_rates(parts, part, scaled, plain)
+        yield from _of_rotors(own, parts.other_drive(own), plain)
+        yield from _of_thrust(parts, part, own, scaled, plain)
+    elif kind == "motor":
+        yield from _of_a_drive(parts, part, scaled, plain)
 
 
 def _of_an_angle(
-    angle: str, expressions: Mapping[str, ca.SX], scaled: Mapping[str, ca.SX]
+    parts: RigParts, axis: str, expressions: Mapping[str, ca.SX], scaled: Mapping[str, ca.SX]
 ) -> Iterator[_Term]:
+    angle = _variable(parts.angle(axis))
     yield from _bumps(angle, scaled[angle], _BUMPS)
-    for k in HARMONICS:
+    for k in HARMONICS if parts.turns(axis) else ():
         yield f"{angle}_sine_{k}", ca.sin(k * expressions[angle])
         yield f"{angle}_cosine_{k}", ca.cos(k * expressions[angle])
 
 
-def _of_an_axis(
-    axis: str,
-    other: str,
-    expressions: Mapping[str, ca.SX],
-    scaled: Mapping[str, ca.SX],
-    plain: Mapping[str, ca.SX],
+def _of_rates(
+    parts: RigParts, axis: str, scaled: Mapping[str, ca.SX], plain: Mapping[str, ca.SX]
 ) -> Iterator[_Term]:
-    yield from _of_an_angle(f"{axis}_angle", expressions, scaled)
-    yield from _with_sign(f"{axis}_rate", plain[f"{axis}_rate"])
-    if f"{other}_angle" in expressions:
-        yield from _bumps(f"{other}_angle", scaled[f"{other}_angle"], _FEW_BUMPS)
-        yield f"{other}_rate", plain[f"{other}_rate"]
-        yield f"{other}_rate_square", plain[f"{other}_rate"] * ca.fabs(plain[f"{other}_rate"])
+    """Of the own rate, and of another axis' angle and rate."""
+    rate, other = _variable(parts.rate(axis)), parts.other_axis(axis)
+    yield from _with_sign(rate, plain[rate])
+    angle, rate = _variable(parts.angle(other)), _variable(parts.rate(other))
+    if angle in scaled:
+        yield from _bumps(angle, scaled[angle], _FEW_BUMPS)
+        yield rate, plain[rate]
+        yield f"{rate}_square", plain[rate] * ca.fabs(plain[rate])
 
 
 def _of_rotors(own: str, other: str, plain: Mapping[str, ca.SX]) -> Iterator[_Term]:
@@ -228,29 +232,44 @@ def _of_rotors(own: str, other: str, plain: Mapping[str, ca.SX]) -> Iterator[_Te
 
 
 def _of_thrust(
-    axis: str, own: str, scaled: Mapping[str, ca.SX], plain: Mapping[str, ca.SX]
+    parts: RigParts,
+    axis: str,
+    own: str,
+    scaled: Mapping[str, ca.SX],
+    plain: Mapping[str, ca.SX],
 ) -> Iterator[_Term]:
     """Products: thrust that changes with the angles, inflow, gyroscopic torques."""
     speed = f"{own}_speed" if f"{own}_speed" in plain else f"{own}_command"
     if speed not in plain:
         return
-    thrust = plain[speed] * ca.fabs(plain[speed])
-    for name in ("pitch_angle", "yaw_angle"):
-        if name in scaled:
-            yield f"thrust_{name}", thrust * scaled[name]
-            yield f"thrust_{name}_square", thrust * scaled[name] ** 2
-    yield "thrust_rate", ca.fabs(plain[speed]) * plain[f"{axis}_rate"]
-    yield f"{axis}_angle_rate", scaled[f"{axis}_angle"] * plain[f"{axis}_rate"]
-    other = "yaw_rate" if axis == "pitch" else "pitch_rate"
-    if "main_speed" in plain and other in plain:
-        yield "gyroscopic", plain["main_speed"] * plain[other]
-        yield "gyroscopic_angle", plain["main_speed"] * plain[other] * scaled["pitch_angle"]
+    # what is no rotor pushes in proportion
+    thrust = plain[speed] * (ca.fabs(plain[speed]) if own in parts.rotors else 1.0)
+    rate, tilting, other = (
+        _variable(words)
+        for words in (
+            parts.rate(axis),
+            parts.angle(parts.tilting),
+            parts.rate(parts.other_axis(axis)),
+        )
+    )
+    for name in (_variable(parts.angle(any_axis)) for any_axis in parts.axes):
+        yield f"thrust_{name}", thrust * scaled[name]
+        yield f"thrust_{name}_square", thrust * scaled[name] ** 2
+    yield "thrust_rate", ca.fabs(plain[speed]) * plain[rate]
+    angle = _variable(parts.angle(axis))
+    yield f"{angle}_rate", scaled[angle] * plain[rate]
+    spin = f"{parts.drive_of(parts.tilting)}_speed"
+    if spin in plain and other in plain:
+        yield "gyroscopic", plain[spin] * plain[other]
+        yield "gyroscopic_angle", plain[spin] * plain[other] * scaled[tilting]
 
 
 def _of_a_drive(
-    rotor: str, other: str, axis: str, scaled: Mapping[str, ca.SX], plain: Mapping[str, ca.SX]
+    parts: RigParts, rotor: str, scaled: Mapping[str, ca.SX], plain: Mapping[str, ca.SX]
 ) -> Iterator[_Term]:
-    speed, command = f"{rotor}_speed", f"{rotor}_command"
+    speed, command, other = f"{rotor}_speed", f"{rotor}_command", parts.other_drive(rotor)
+    axis = parts.rotors[rotor].axis
+    angle, rate = _variable(parts.angle(axis)), _variable(parts.rate(axis))
     if speed in plain:
         yield from _with_sign(speed, plain[speed])
         yield from _bumps(speed, scaled[speed], _FEW_BUMPS)
@@ -263,11 +282,11 @@ def _of_a_drive(
         yield f"{command}_load_square", plain[command] * load**2
     if f"{other}_speed" in plain:
         yield f"{other}_speed", plain[f"{other}_speed"]
-    if f"{axis}_rate" in plain:
-        yield f"{axis}_rate", plain[f"{axis}_rate"]
+    if rate in plain:
+        yield rate, plain[rate]
         moving = plain.get(speed, plain[command])
-        yield "thrust_rate", ca.fabs(moving) * plain[f"{axis}_rate"]
-        yield from _bumps(f"{axis}_angle", scaled[f"{axis}_angle"], _FEW_BUMPS)
+        yield "thrust_rate", ca.fabs(moving) * plain[rate]
+        yield from _bumps(angle, scaled[angle], _FEW_BUMPS)
 
 
 def _bumps(name: str, scaled: ca.SX, count: int) -> Iterator[_Term]:

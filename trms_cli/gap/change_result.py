@@ -34,6 +34,7 @@ from trms_cli.gap.problem import (
 )
 from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
 from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
+from trms_cli.models.rig_parts import diagram_rows, parts_of
 
 #: Probability from which a verdict is given, below which an effect's part is not told, and below
 #: which a cause is left out.
@@ -407,6 +408,7 @@ def _traces(comparison: StateComparison, verdict: Verdict) -> Traces:
         explained=explained,
         run_time=np.zeros(0),
         runs={},
+        rows=diagram_rows(parts_of(runs.model)),
     )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.core.chart import DiagramRow
 from trms_cli.core.findings import json_data
 
 SCHEMA = "trms.diagnosis/1"
@@ -275,6 +276,8 @@ class Traces:
     run_time: FloatArray  #: (n,) array; s, of a free run over the sealed part that shows most
     #: (n,) arrays; per channel: ``measured``, ``raw``, ``refit``, ``corrected``
     runs: Mapping[str, Mapping[str, FloatArray]]
+    run_unit: Mapping[str, str] = field(default_factory=dict)  #: by channel
+    rows: tuple[DiagramRow, ...] = ()  #: of the rig's block diagram
 
 
 @dataclass(frozen=True, kw_only=True)

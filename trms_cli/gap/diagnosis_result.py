@@ -53,6 +53,7 @@ from trms_cli.gap.shrinkage import TOLD_AT, SealedComparison
 from trms_cli.gap.signatures import VISIBLE, Signatures
 from trms_cli.gap.wording import place_name
 from trms_cli.identification.free_runs import simulated_windows
+from trms_cli.models.rig_parts import diagram_rows, parts_of
 
 #: Causes less probable than this are not listed.
 _LEAST_PROBABILITY = 0.002
@@ -465,7 +466,7 @@ _RUN_LENGTH = 10.0
 
 def _report_traces(stages: StageResults, locations: Sequence[str]) -> Traces:
     """Missing forces with what explains them, and free runs before and after."""
-    forces, corrected = stages.forces, stages.posterior.corrected
+    forces, corrected, model = stages.forces, stages.posterior.corrected, stages.problem.model
     force_locations = [name for name in locations if name in forces] or list(forces)[:1]
     explained: dict[str, FloatArray] = {}
     if corrected is not None:
@@ -487,6 +488,8 @@ def _report_traces(stages: StageResults, locations: Sequence[str]) -> Traces:
         explained={name: value[rows] for name, value in explained.items()},
         run_time=time,
         runs=runs,
+        run_unit={s.name: s.unit for s in model.outputs},
+        rows=diagram_rows(parts_of(model)),
     )
 
 

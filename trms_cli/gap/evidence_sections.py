@@ -399,7 +399,7 @@ def run_chart(traces: Traces) -> draw.Chart | None:
             for name, (label, colour, style) in _RUNS.items()
             if name in series
         ]
-        unit = "rad" if channel.startswith("alpha") else "rad/s"
+        unit = traces.run_unit.get(channel, "")
         axis = draw.Axis("time", "s", (float(time[0]), float(time[-1])))
         limits = near(measured, [np.asarray(series[n]) for n in _RUNS if n in series], 0.6)
         panels.append(draw.Panel(axis, draw.Axis(wording.signal(channel), unit, limits), marks))

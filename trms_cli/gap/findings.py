@@ -421,6 +421,7 @@ def _where(diagnosis: DiagnosisResult) -> report.Section | None:
         [c for recording in diagnosis.recordings for c in recording.channels],
         "From the commands to the sensors: the share of the gap that lies at each place, with its "
         "95 % interval. Without a figure: next to nothing. Dashed: was not recorded.",
+        () if diagnosis.traces is None else diagnosis.traces.rows,
     )
     blocks: list[report.Block] = [rig, report.table(places, columns)]
     return report.Section("Where the gap lies", [_where_words(diagnosis)], blocks)

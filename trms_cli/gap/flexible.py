@@ -19,7 +19,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, get_args
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -28,14 +28,14 @@ from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.effects.effect import EffectContext
 from trms_cli.effects.residual import (
-    USUAL_SPANS,
-    Equation,
     Residual,
     ResidualForce,
     ResidualReading,
     Spans,
+    symbolic,
     term_names,
     terms,
+    usual_spans,
     variables,
 )
 from trms_cli.gap.competing_model import (
@@ -53,6 +53,8 @@ from trms_cli.gap.residuals import Location
 from trms_cli.identification.problem import FreeParameter
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.parameters import Parameter
+from trms_cli.models.rig_parts import RigParts, parts_of
+from trms_cli.models.scales import BENCH, port_scale
 
 #: Nats that disturbances together must gain: with less there is no gap to be flexible about.
 _LEAST_GAP = 10.0
@@ -73,7 +75,7 @@ _STEPS, _LAST_STEPS, _TOLERANCE = 4, 3, 1.0
 _TURNS, _ROUNDS, _NARROWEST, _WIDEST = 2, 20, 0.02, 3.0
 #: What the names of terms that share a width differ in.
 _GROUPED = re.compile(r"_bump_\d+$|(?:co)?sine_(?=\d+$)")
-#: A coefficient of a sensor's error has a prior so wide, rad.
+#: A coefficient of a sensor's error has a prior so wide: rad, or the same share of a travel.
 _READING = 0.02
 
 
@@ -85,10 +87,11 @@ class _Free:
 
     names: tuple[str, ...]
     unit: str
+    spans: tuple[tuple[str, float, float], ...]
 
     def parameters(self) -> tuple[Parameter, ...]:
         spans = []
-        for name, (middle, half) in self.spanned.items():  # type: ignore[attr-defined]
+        for name, middle, half in self.spans:
             spans += [Parameter(f"{name}_middle", middle), Parameter(f"{name}_half", half)]
         return (*(Parameter(name, 0.0, self.unit) for name in self.names), *spans)
 
@@ -96,7 +99,7 @@ class _Free:
         return {name: at.sizes[name] for name in self.names}
 
     def ranges(self, at: EffectContext) -> Spans:
-        return {n: (at.sizes[f"{n}_middle"], at.sizes[f"{n}_half"]) for n in USUAL_SPANS}
+        return {n: (at.sizes[f"{n}_middle"], at.sizes[f"{n}_half"]) for n, *_ in self.spans}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,10 +168,10 @@ def node_of(effect: Residual) -> dict[str, Any]:
     }
 
 
-def name_of(place: str) -> str:
+def name_of(place: str, parts: RigParts) -> str:
     """Name of the option that puts a residual at a place."""
-    side, kind = place.split("_")
-    return f"{side}_residual_reading" if kind == "sensor" else f"{side}_residual_force"
+    kind = "reading" if parts.kind_of(place) == "sensor" else "force"
+    return f"{parts.part_of(place)}_residual_{kind}"
 
 
 def fit_flexible(
@@ -180,7 +183,8 @@ def fit_flexible(
     equation.
     """
     shares = place.share()
-    equations = [k for k in shares if k in forces and k in get_args(Equation)]
+    parts = parts_of(refit.structure.problem.model)
+    equations = [k for k in shares if k in forces and parts.kind_of(k) in ("moment", "motor")]
     ranking = sorted(equations, key=lambda k: -shares[k])
     if not ranking or place.together.sum() < _LEAST_GAP:
         return None
@@ -189,7 +193,7 @@ def fit_flexible(
     try:
         best = _fit_residual(motion, first, forces)
         if best.foretold < _ENOUGH:
-            for other in _others(refit.structure.problem.model, first, ranking[1:], shares):
+            for other in _others(parts, first, ranking[1:], shares):
                 alternative = _fit_residual(motion, first, forces, other, best)
                 best = max(best, alternative, key=lambda flexible: flexible.score)
     except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
@@ -198,12 +202,10 @@ def fit_flexible(
 
 
 def _others(
-    model: Model, first: str, equations: list[str], shares: Mapping[str, float]
+    parts: RigParts, first: str, equations: list[str], shares: Mapping[str, float]
 ) -> list[str]:
     """Where a residual might explain what a force on the first equation leaves."""
-    side = first.split("_")[0]
-    angle = model.axes[side].angle if side in model.axes else ""
-    sensor = [f"{side}_sensor"] if angle in {s.name for s in model.outputs} else []
+    sensor = [f"{parts.part_of(first)}_sensor"] if parts.kind_of(first) == "moment" else []
     return [at for at in (*sensor, *equations[:1]) if shares.get(at, 0.0) > _WORTH][:1]
 
 
@@ -224,7 +226,7 @@ def _fit_residual(
         location, other, before = other, "", None
     values, shares = dict(refit.values), refit.metric.shares.copy()
     if other.endswith("sensor"):
-        candidates = [motion.candidate(other, _READING)]
+        candidates = [motion.candidate(other, motion.reading_size(other))]
     else:
         places = [location, *([other] if other else [])]
         candidates = [motion.candidate(place, _size(forces[place])) for place in places]
@@ -346,34 +348,39 @@ class _Motion:
     @cached_property
     def spans(self) -> tuple[tuple[str, float, float], ...]:
         """Middle and half of the range of each variable."""
-        ranges = []
+        ranges, usual = [], usual_spans(self.model)
         for name, values in self.along(variables).items():
             low, high = np.quantile(values, (0.005, 0.995))
-            half = max(float(high - low) / 2, 0.02 * USUAL_SPANS[name][1])
+            half = max(float(high - low) / 2, 0.02 * usual[name][1])
             ranges.append((name, float(high + low) / 2, half))
         return tuple(ranges)
 
     def terms(self, place: str) -> dict[str, FloatArray]:
         """The terms at a place by name, (k,) each."""
-        spans = {**USUAL_SPANS, **{name: (m, h) for name, m, h in self.spans}}
-        symbolic_spans = {name: (ca.SX(m), ca.SX(h)) for name, (m, h) in spans.items()}
-        return self.along(lambda at: dict(terms(at, place, symbolic_spans)))
+        spans = symbolic({name: (m, h) for name, m, h in self.spans})
+        return self.along(lambda at: dict(terms(at, place, spans)))
+
+    def reading_size(self, place: str) -> float:
+        """How wide the prior of a coefficient of a sensor's error is, in the sensor's unit."""
+        axis = parts_of(self.model).part_of(place)
+        return _READING * port_scale(self.model, axis=axis).travel / BENCH.travel
 
     def candidate(self, place: str, size: float) -> CandidateEffect:
         """A residual with its coefficients free; ``size``: sd of the prior of each."""
-        name, names = name_of(place), term_names(self.model, place)
+        parts = parts_of(self.model)
+        name, names = name_of(place, parts), term_names(self.model, place)
         signals: dict[str, Signal] = {s.name: s for s in self.model.disturbances}
         effect: _FreeForce | _FreeReading
         if place in signals:
             effect = _FreeForce(
-                equation=place,  # type: ignore[arg-type]
+                equation=place,
                 names=names,
                 unit=signals[place].unit,
                 spans=self.spans,
             )
         else:
-            axis: Any = place.split("_")[0]
-            effect = _FreeReading(axis=axis, names=names, unit="rad", spans=self.spans)
+            axis = parts.part_of(place)
+            effect = _FreeReading(axis=axis, names=names, unit=parts.unit(axis), spans=self.spans)
         free = tuple(
             FreeParameter(
                 name=f"{name}.{term}",
@@ -409,7 +416,7 @@ class _Motion:
         gram = both.T @ both + penalty * len(force) * np.eye(both.shape[1])
         weights = np.linalg.solve(gram, both.T @ force)
         own = weights[: phi.shape[1]]
-        name = name_of(location)
+        name = name_of(location, parts_of(self.model))
         coefficients = {f"{name}.{term}": float(w) for term, w in zip(columns, own, strict=True)}
         return coefficients, 1 - min(errors) / energy
 
@@ -514,6 +521,10 @@ def short_law(
             columns = _Motion(refit).terms(effect.place)
             error = np.sum([size * columns[name] for name, size in effect.terms], axis=0)
             record = replace(
-                record, location=effect.place, unit="rad", force=error - error.mean(), sd=0 * error
+                record,
+                location=effect.place,
+                unit=record.parts.unit(effect.axis),
+                force=error - error.mean(),
+                sd=0 * error,
             )
     return short_law_of(record)

@@ -41,6 +41,7 @@ from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import quantum_of
 from trms_cli.identification.validation.residual_tests import holm
 from trms_cli.models.model import Model, names
+from trms_cli.models.rig_parts import parts_of
 
 #: s. Longest lag of the tests, and samples at least and at most.
 _LONGEST_LAG, _FEWEST_LAGS, _MOST_LAGS = 0.5, 4, 25
@@ -320,6 +321,7 @@ def smoothed_forces(refit: FittedModel, entry: FittedModel) -> dict[str, ForceRe
             recording=np.broadcast_to(recording[:, None], inside.shape)[inside],
             force=x[..., n + i][inside],
             sd=np.sqrt(variance[..., n + i][inside]),
+            parts=parts_of(model),
             **{kind: {k: v[inside] for k, v in group.items()} for kind, group in motion.items()},
         )
     return records
@@ -337,5 +339,6 @@ def _motion(
     speeds = {
         rotor: states[..., model.state_index(speed)] for rotor, speed in model.rotor_speeds.items()
     }
-    of_rotors = {name: commands[..., inputs.index(r.input)] for name, r in model.rotors.items()}
-    return {"angles": angles, "rates": rates, "speeds": speeds, "commands": of_rotors}
+    drives = parts_of(model).drives
+    by_drive = {name: commands[..., inputs.index(own)] for name, own in drives.items()}
+    return {"angles": angles, "rates": rates, "speeds": speeds, "commands": by_drive}

@@ -32,6 +32,17 @@ DISTURBANCES = {
     "main_motor": Signal("main_motor", "N*m", "torque on the main rotor"),
     "tail_motor": Signal("tail_motor", "N*m", "torque on the tail rotor"),
 }
+#: Middle and half of the range of each variable of a rig of this kind: rad, rad/s, V.
+USUAL_SPANS = {
+    "pitch_angle": (0.0, 0.6),
+    "yaw_angle": (0.0, 1.5),
+    "pitch_rate": (0.0, 1.0),
+    "yaw_rate": (0.0, 1.0),
+    "main_speed": (0.0, 200.0),
+    "tail_speed": (0.0, 300.0),
+    "main_command": (0.0, 2.5),
+    "tail_command": (0.0, 2.5),
+}
 AXES = {"pitch": RigAxis("alpha_v", "pitch_moment"), "yaw": RigAxis("alpha_h", "yaw_moment")}
 #: The rotors of a beam, by name.
 ROTORS = {

@@ -10,23 +10,17 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from trms_cli.core import wording
-from trms_cli.core.chart import RigDiagram, Share
+from trms_cli.core.chart import DiagramRow, RigDiagram, Share
+from trms_cli.models.rig_parts import BEAM, diagram_rows
 from trms_cli.reporting.block_diagram import Block, branch, draw_box, wire, word
 from trms_cli.reporting.style import GREY, INK, PALE, PALETTE, PAPER, house_style, new_figure
 
 #: Size of a box, and the pitch of columns and rows, in units of the drawing.
 _WIDE, _HIGH, _ACROSS = 1.42, 0.86, 1.95
-#: Rows: the main rotor and pitch above, the tail rotor and yaw below; tachos outside of them.
-_ROWS = {"main": 0.85, "tail": -0.85}
-_TACHO = 1.28
-#: The letter that channels of a rotor and its axis end in, and the channel of each sensor.
-_SIDES = {"main": "_v", "tail": "_h"}
-_CHANNELS = {
-    "pitch_sensor": "alpha_v",
-    "yaw_sensor": "alpha_h",
-    "main_tacho": "omega_v",
-    "tail_tacho": "omega_h",
-}
+#: Between the middle of all rows and the nearest, and from a row outwards to its tacho.
+_ROW, _TACHO = 0.85, 1.28
+#: Kinds of places from left to right; those that a rig does not have take no room.
+_COLUMNS = ("actuator", "motor", "thrust", "moment", "sensor")
 _FULL = PALETTE["vermilion"]
 #: Share from which on a box is filled as far as it goes.
 _DARKEST = 0.9
@@ -34,29 +28,27 @@ _DARKEST = 0.9
 
 @dataclass(frozen=True)
 class _Box:
-    """A place of the diagram: its centre, and the lines of its name."""
+    """A place of the diagram: its centre, the lines of its name, and what it measures, if it is."""
 
     x: float
     y: float
     title: str
-    side: str
+    channel: str = ""
 
 
-def _boxes() -> dict[str, _Box]:
+def _boxes(rows: Sequence[DiagramRow]) -> dict[str, _Box]:
     boxes = {}
-    for rotor, axis in (("main", "pitch"), ("tail", "yaw")):
-        y = _ROWS[rotor]
-        chain = (
-            (f"{rotor}_actuator", f"{rotor} actuator"),
-            (f"{rotor}_motor", f"{rotor} motor"),
-            (f"{rotor}_thrust", f"{rotor} thrust"),
-            (f"{axis}_moment", f"{axis} moment"),
-            (f"{axis}_sensor", f"{axis} sensor"),
-        )
-        for i, (name, title) in enumerate(chain):
-            boxes[name] = _Box(_ACROSS * i, y, title, rotor)
-        out = _TACHO if y > 0 else -_TACHO
-        boxes[f"{rotor}_tacho"] = _Box(_ACROSS * 1.5, y + out, f"{rotor} tacho", rotor)
+    columns = [kind for kind in _COLUMNS if any(kind in row.places for row in rows)]
+    for k, row in enumerate(rows):
+        y = _ROW * (len(rows) - 1 - 2 * k)
+        for kind, name in row.places.items():
+            if kind in columns:
+                shown = row.output if kind == "sensor" else ""
+                x = _ACROSS * columns.index(kind)
+                boxes[name] = _Box(x, y, name.replace("_", " "), shown)
+            elif kind == "tacho":
+                out = _TACHO if y > 0 else -_TACHO
+                boxes[name] = _Box(_ACROSS * 1.5, y + out, name.replace("_", " "), row.speed)
     return boxes
 
 
@@ -66,23 +58,23 @@ def diagram(chart: RigDiagram) -> Figure:
     A place is filled the darker the larger its share; one without has next to nothing. A sensor
     that was not recorded is dashed, and a rotor with its axis of which nothing was is left out.
     """
-    channel_names = set(chart.channels) or set(_CHANNELS.values()) | {"u_v", "u_h"}
-    sides = [
-        side for side, letter in _SIDES.items() if any(c.endswith(letter) for c in channel_names)
-    ]
+    every = chart.rows or diagram_rows(BEAM)
+    channels = set(chart.channels) or {c for row in every for c in row.channels}
+    rows = [row for row in every if channels.intersection(row.channels)] or every
     with house_style():
-        boxes = {name: box for name, box in _boxes().items() if box.side in sides}
+        shown = {name for row in rows for name in row.places.values()}
+        boxes = {name: box for name, box in _boxes(every).items() if name in shown}
         low = min(box.y for box in boxes.values()) - 0.6
         high = max(box.y for box in boxes.values()) + 0.6
-        figure = new_figure(9.2, 0.86 * (high - low))
+        left, right = -1.62, max(box.x for box in boxes.values()) + 1.55
+        figure = new_figure(9.2 * (right - left) / (4 * _ACROSS + 3.17), 0.86 * (high - low))
         panel = figure.subplots()
         panel.set_axis_off()
         panel.set_aspect("equal")
-        _wires(panel, boxes, sides)
+        _wires(panel, boxes, rows)
         for name, box in boxes.items():
-            is_recorded = _CHANNELS.get(name, "") in channel_names or name not in _CHANNELS
-            _draw(panel, box, chart.shares.get(name), is_recorded)
-        panel.set_xlim(-1.62, 4 * _ACROSS + 1.55)
+            _draw(panel, box, chart.shares.get(name), box.channel in channels or not box.channel)
+        panel.set_xlim(left, right)
         panel.set_ylim(low, high)
         return figure
 
@@ -118,35 +110,42 @@ def _mixed(part: float) -> tuple[float, float, float]:
     return (1 - part * (1 - full[0]), 1 - part * (1 - full[1]), 1 - part * (1 - full[2]))
 
 
-def _wires(panel: Axes, boxes: Mapping[str, _Box], sides: Sequence[str]) -> None:
-    for (rotor, axis), command, angle, speed in (
-        (("main", "pitch"), "$u_v$", r"$\alpha_v$", r"$\omega_v$"),
-        (("tail", "yaw"), "$u_h$", r"$\alpha_h$", r"$\omega_h$"),
-    ):
-        if rotor not in sides:
-            continue
-        chain = [boxes[f"{rotor}_{part}"] for part in ("actuator", "motor", "thrust")]
-        chain += [boxes[f"{axis}_{part}"] for part in ("moment", "sensor")]
+def _wires(panel: Axes, boxes: Mapping[str, _Box], rows: Sequence[DiagramRow]) -> None:
+    for row in rows:
+        chain = [boxes[row.places[kind]] for kind in _COLUMNS if kind in row.places]
         y = chain[0].y
         for left, right in pairwise(chain):
             wire(panel, [(left.x + _WIDE / 2, y), (right.x - _WIDE / 2, y)])
-        wire(panel, [(chain[0].x - _WIDE / 2 - 0.42, y), (chain[0].x - _WIDE / 2, y)])
-        word(panel, chain[0].x - _WIDE / 2 - 0.62, y, command)
+        if row.command:
+            wire(panel, [(chain[0].x - _WIDE / 2 - 0.42, y), (chain[0].x - _WIDE / 2, y)])
+            word(panel, chain[0].x - _WIDE / 2 - 0.62, y, _symbol(row.command))
         end = chain[-1].x + _WIDE / 2
-        wire(panel, [(end, y), (end + 0.42, y)])
-        word(panel, end + 0.62, y, angle)
-        tacho = boxes[f"{rotor}_tacho"]
+        if row.output:
+            wire(panel, [(end, y), (end + 0.42, y)])
+            word(panel, end + 0.62, y, _symbol(row.output))
+        if "tacho" not in row.places:
+            continue
+        tacho = boxes[row.places["tacho"]]
         fork = (chain[1].x + chain[2].x) / 2
         inner = tacho.y - _HIGH / 2 if tacho.y > 0 else tacho.y + _HIGH / 2
         branch(panel, (fork, y))
         wire(panel, [(fork, y), (fork, inner)])
         wire(panel, [(tacho.x + _WIDE / 2, tacho.y), (tacho.x + _WIDE / 2 + 0.42, tacho.y)])
-        word(panel, tacho.x + _WIDE / 2 + 0.64, tacho.y, speed)
-    if len(sides) < 2:
-        return
-    x = boxes["pitch_moment"].x
-    for side, up in ((-0.16, True), (0.16, False)):
-        ends = (_ROWS["main"] - _HIGH / 2, _ROWS["tail"] + _HIGH / 2)
-        start, stop = ends if not up else ends[::-1]
-        wire(panel, [(x + side, start), (x + side, stop)], colour=PALE)
-    panel.text(x + 0.3, 0.0, "cross\ncoupling", ha="left", va="center", color=GREY, size=7)
+        word(panel, tacho.x + _WIDE / 2 + 0.64, tacho.y, _symbol(row.speed))
+    moments = [boxes[row.places["moment"]] for row in rows if "moment" in row.places]
+    for upper, lower in pairwise(moments):
+        x, ends = upper.x, (upper.y - _HIGH / 2, lower.y + _HIGH / 2)
+        for side, up in ((-0.16, True), (0.16, False)):
+            start, stop = ends if not up else ends[::-1]
+            wire(panel, [(x + side, start), (x + side, stop)], colour=PALE)
+        text = "cross\ncoupling"
+        y = (upper.y + lower.y) / 2
+        panel.text(x + 0.3, y, text, ha="left", va="center", color=GREY, size=7)
+
+
+def _symbol(name: str) -> str:
+    """A signal beside its wire: ``alpha_v`` with letter and index, a word as it is."""
+    first, _, index = name.partition("_")
+    if len(index) != 1:
+        return name.replace("_", " ")
+    return f"${first if len(first) == 1 else chr(92) + first}_{index}$"

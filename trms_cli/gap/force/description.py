@@ -14,6 +14,7 @@ from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.gap.diagnosis import RegionShare
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import LAWS, ForceRecord, explained_shares
+from trms_cli.models.rig_parts import RigParts
 
 #: How many are told at most.
 MOST = 3
@@ -32,7 +33,6 @@ _EXCESS, _LIFT = 0.12, 1.3
 _LEAST_ENERGY = 0.2
 #: Part of a rotor's largest speed, or of the largest command, that counts as none.
 _STANDSTILL = 0.1
-_SYMBOL = {"pitch": "alpha_v", "yaw": "alpha_h"}
 _HIGH, _LOW = (0.5, 0.7, 0.85), (0.5, 0.3, 0.15)
 _ROUND = np.array([1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10])
 
@@ -98,9 +98,9 @@ def all_conditions(record: ForceRecord) -> tuple[Condition, ...]:
     """All conditions that are tried, thresholds at quantiles of the recording, rounded."""
     conditions: list[Condition] = []
     for axis, values in record.angles.items():
-        conditions += _about_an_angle(_SYMBOL[axis], axis, values)
+        conditions += _about_an_angle(record.parts, axis, values)
     for axis, values in record.rates.items():
-        conditions += _about_a_rate(axis, values)
+        conditions += _about_a_rate(record.parts, axis, values)
     for rotor, values in record.speeds.items():
         conditions += _about_a_rotor(rotor, values)
     for rotor, values in record.commands.items():
@@ -130,21 +130,23 @@ def _limits(
         yield Condition(text=text.format(f"{at:g}"), about=about, holds=holds)
 
 
-def _about_an_angle(symbol: str, axis: str, values: FloatArray) -> Iterator[Condition]:
-    about, size = f"{axis} angle", np.abs(values)
-    low, high = ("beam low: ", "beam high: ") if axis == "pitch" else ("", "")
-    yield from _limits(f"|{symbol}| > {{}} rad", about, size, _HIGH)
-    yield from _limits(f"|{symbol}| < {{}} rad", about, size, _LOW[1:])
-    yield from _limits(f"{high}{symbol} > {{}} rad", about, values, _HIGH)
-    yield from _limits(f"{low}{symbol} < {{}} rad", about, values, _LOW)
+def _about_an_angle(parts: RigParts, axis: str, values: FloatArray) -> Iterator[Condition]:
+    about, size = parts.angle(axis), np.abs(values)
+    symbol, unit = parts.axes[axis].angle, parts.unit(axis)
+    low, high = ("beam low: ", "beam high: ") if axis == parts.beam else ("", "")
+    yield from _limits(f"|{symbol}| > {{}} {unit}", about, size, _HIGH)
+    yield from _limits(f"|{symbol}| < {{}} {unit}", about, size, _LOW[1:])
+    yield from _limits(f"{high}{symbol} > {{}} {unit}", about, values, _HIGH)
+    yield from _limits(f"{low}{symbol} < {{}} {unit}", about, values, _LOW)
 
 
-def _about_a_rate(axis: str, values: FloatArray) -> Iterator[Condition]:
-    about, size = f"{axis} rate", np.abs(values)
-    yield from _limits(f"{axis} rate near zero (|rate| < {{}} rad/s)", about, size, _LOW)
-    yield from _limits(f"{axis} moving fast (|rate| > {{}} rad/s)", about, size, _HIGH)
-    yield Condition(text=f"{axis} rate positive", about=about, holds=values > 0)
-    yield Condition(text=f"{axis} rate negative", about=about, holds=values < 0)
+def _about_a_rate(parts: RigParts, axis: str, values: FloatArray) -> Iterator[Condition]:
+    about, size = parts.rate(axis), np.abs(values)
+    unit = f"{parts.unit(axis)}/s"
+    yield from _limits(f"{about} near zero (|rate| < {{}} {unit})", about, size, _LOW)
+    yield from _limits(f"{axis} moving fast (|rate| > {{}} {unit})", about, size, _HIGH)
+    yield Condition(text=f"{about} positive", about=about, holds=values > 0)
+    yield Condition(text=f"{about} negative", about=about, holds=values < 0)
 
 
 def _about_a_rotor(rotor: str, values: FloatArray) -> Iterator[Condition]:
@@ -161,14 +163,17 @@ def _about_a_rotor(rotor: str, values: FloatArray) -> Iterator[Condition]:
 
 def _about_a_command(rotor: str, values: FloatArray, record: ForceRecord) -> Iterator[Condition]:
     about, size = f"{rotor} command", np.abs(values)
+    unit = f" {record.parts.command_unit(rotor)}".rstrip()
     zero = nearest_round_number(_STANDSTILL * float(size.max(initial=0.0)))
-    yield Condition(text=f"{about} near zero (|u| < {zero:g} V)", about=about, holds=size < zero)
-    yield from _limits(f"{about} |u| > {{}} V", about, size, _HIGH)
+    yield Condition(
+        text=f"{about} near zero (|u| < {zero:g} {unit})", about=about, holds=size < zero
+    )
+    yield from _limits(f"{about} |u| > {{}} {unit}", about, size, _HIGH)
     # A step's effect on a slow force shows for about half a second.
     ago = max(round(0.5 / record.sample_time), 1)
     command_change = np.zeros(values.size)
     command_change[ago:] = np.abs(values[ago:] - values[:-ago])
-    text = f"{about} changing (by over {{}} V in 0.5 s)"
+    text = f"{about} changing (by over {{}}{unit} in 0.5 s)"
     yield from _limits(text, f"change of the {about}", command_change, _HIGH[1:])
 
 
@@ -329,7 +334,7 @@ def _band(record: ForceRecord) -> str:
 def _direction(record: ForceRecord) -> str:
     """Work and memory: whether the force depends on which way the axis goes."""
     axis, unit = record.axis, record.unit
-    if axis not in record.rates or not record.location.endswith(("moment", "thrust")):
+    if axis not in record.rates or record.kind not in ("moment", "thrust"):
         return ""
     rate = record.rates[axis]
     work = (record.force - record.force.mean()) * rate
@@ -342,7 +347,8 @@ def _direction(record: ForceRecord) -> str:
     power = float(work.mean())
     if axis in record.angles:
         travel = float(np.mean(np.abs(rate)))
-        size = f"loop of force against angle: {power / travel:.2g} {unit} per radian of travel"
+        noun, per = record.parts.nouns(axis)
+        size = f"loop of force against {noun}: {power / travel:.2g} {unit} per {per} of travel"
     else:
         size = f"on average {power:.2g} W"
     what = "opposes the motion and takes energy out" if t < 0 else "goes with the motion, drives it"
@@ -405,7 +411,10 @@ def _closest_form(record: ForceRecord) -> str:
     best = max(shares, key=lambda name: shares[name])
     if shares[best] < _CLOSE:
         return "No known form comes near it."
-    form = LAWS[best][0].format(axis=record.axis)
+    parts, axis = record.parts, record.axis
+    form = LAWS[best][0].format(
+        rate=parts.rate(axis), angle=parts.angle(axis), tilting=parts.tilting
+    )
     return f"The closest known form is {form}: {shares[best]:.0%} of its variance."
 
 

@@ -32,6 +32,7 @@ import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.gap.force.laws import ForceRecord, hysteresis
+from trms_cli.models.rig_parts import ANGLES, RATES
 
 #: Ridge penalties, relative to the number of samples; features have unit variance.
 PENALTIES = (1e-3, 1e-2, 1e-1)
@@ -116,7 +117,7 @@ def fitted_response(record: ForceRecord) -> Response:
     """Fit the response to the force; the record at about 10 Hz."""
     names = list(record.variables)
     z = np.array([record.variables[name] for name in names]).T
-    terms, slopes = _terms(names, z)
+    terms, slopes = _terms(names, z, record.parts.angle(record.parts.tilting))
     starts = np.concatenate([np.arange(p.start, p.stop - 1) for p in record.segments])
     force = record.force[starts] / 2 + record.force[starts + 1] / 2
     increments = z[starts + 1] - z[starts]
@@ -132,8 +133,11 @@ def fitted_response(record: ForceRecord) -> Response:
     return Response(record=record, motion=z, steps=steps, push=push)
 
 
-def _terms(names: list[str], z: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Products that the physics has, (k, m), and their derivatives by the variables, (k, m, n)."""
+def _terms(names: list[str], z: FloatArray, tilt: str) -> tuple[FloatArray, FloatArray]:
+    """Products that the physics has, (k, m), and their derivatives by the variables, (k, m, n).
+
+    ``tilt``: name of the angle that weight depends on.
+    """
     values: list[FloatArray] = []
     slopes: list[FloatArray] = []
 
@@ -145,9 +149,9 @@ def _terms(names: list[str], z: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     for column, name in enumerate(names):
         v = z[:, column]
-        if name.endswith(("rate", "rotor speed")):
+        if name.endswith((*RATES, "rotor speed")):
             add(column, v * np.abs(v), 2 * np.abs(v))
-        elif name == "pitch angle":
+        elif name == tilt:
             add(column, np.cos(v), -np.sin(v))
             add(column, np.sin(v), np.cos(v))
     if not values:
@@ -157,7 +161,7 @@ def _terms(names: list[str], z: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _follows(names: list[str], row: int, z: FloatArray, increments: FloatArray) -> bool:
     """Whether angles and rates decide a command's increments: a loop is closed."""
-    motion = [i for i, name in enumerate(names) if name.endswith(("angle", "rate"))]
+    motion = [i for i, name in enumerate(names) if name.endswith((*ANGLES, *RATES))]
 
     def residual_energy(columns: FloatArray) -> float:
         coefficients = np.linalg.lstsq(columns, increments)[0]
@@ -285,7 +289,7 @@ def _smooth(at: FloatArray, values: FloatArray, name: str) -> FloatArray:
     width = max(float(np.ptp(centres)) / (_BUMPS - 1), 0.05 * spread)
     bumps = np.exp(-0.5 * ((at[:, None] - centres) / width) ** 2)
     columns = [bumps, at[:, None], (at * np.abs(at))[:, None]]
-    if not name.endswith("angle"):
+    if not name.endswith(ANGLES):
         # The sign, sharp and less so: what turns with the direction turns within a small range.
         columns.append(np.tanh(at[:, None] / (spread * np.array([0.05, 0.3]))))
     return np.column_stack(columns)
@@ -294,7 +298,7 @@ def _smooth(at: FloatArray, values: FloatArray, name: str) -> FloatArray:
 def _alone(record: ForceRecord, name: str, values: FloatArray) -> FloatArray:
     """Smooth functions of one variable, of how it changed, and of its path: (k, p)."""
     columns = [_smooth(values, values, name)]
-    if name.endswith("angle"):
+    if name.endswith(ANGLES):
         columns += [memory[:, None] for memory in hysteresis(record, values)]
     step = float(np.median(np.diff(record.time)))
     for ago in (max(round(_PAST / 2 / step), 1), max(round(_PAST / step), 2)):

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.models.rig_parts import BEAM, RigParts
 
 #: The largest part of a mean square that is taken for noise, whatever the smoother says of it.
 MOST_NOISE = 0.8
@@ -38,13 +39,14 @@ class ForceRecord:
     recording: IntArray  #: (k,) array; of which recording; the samples of one stand together
     force: FloatArray  #: (k,) array; smoothed estimate
     sd: FloatArray  #: (k,) array; its standard deviation
-    #: dict of str to (k,) array; ``pitch`` and ``yaw``, rad and rad/s
+    #: dict of str to (k,) array; by axis (``pitch``), rad or m, and the same by s
     angles: Mapping[str, FloatArray] = field(default_factory=dict)
     rates: Mapping[str, FloatArray] = field(default_factory=dict)  #: likewise
-    #: dict of str to (k,) array; ``main`` and ``tail``, rad/s; may be absent
+    #: dict of str to (k,) array; by rotor (``main``), rad/s; may be absent
     speeds: Mapping[str, FloatArray] = field(default_factory=dict)
-    #: dict of str to (k,) array; ``main`` and ``tail``, V
+    #: dict of str to (k,) array; by rotor, or by the name of an input without one
     commands: Mapping[str, FloatArray] = field(default_factory=dict)
+    parts: RigParts = BEAM  #: What the model calls its parts
 
     def __post_init__(self) -> None:
         series = [self.time, self.recording, self.force, self.sd]
@@ -56,22 +58,29 @@ class ForceRecord:
 
     @property
     def axis(self) -> str:
-        """Axis that a force at this place moves: ``pitch`` or ``yaw``."""
-        return {"main": "pitch", "tail": "yaw"}.get(self.side, self.side)
+        """Axis that a force at this place moves."""
+        return self.parts.axis_at(self.location)
 
     @property
-    def side(self) -> str:
-        """First word of the location: ``main``, ``tail``, ``pitch`` or ``yaw``."""
-        return self.location.split("_", 1)[0]
+    def drive(self) -> str:
+        """The drive of the place: its own, or the one that moves its axis."""
+        part = self.parts.part_of(self.location)
+        return part if part in self.parts.drives else self.parts.drive_of(self.axis)
+
+    @property
+    def kind(self) -> str:
+        """What the place is: ``moment``, ``motor``, ``actuator``, ``thrust``, ``sensor``."""
+        return self.parts.kind_of(self.location)
 
     @property
     def variables(self) -> dict[str, FloatArray]:
         """All that the force may depend on, by the names that sentences use."""
+        parts = self.parts
         return {
-            **{f"{axis} angle": values for axis, values in self.angles.items()},
-            **{f"{axis} rate": values for axis, values in self.rates.items()},
+            **{parts.angle(axis): values for axis, values in self.angles.items()},
+            **{parts.rate(axis): values for axis, values in self.rates.items()},
             **{f"{rotor} rotor speed": values for rotor, values in self.speeds.items()},
-            **{f"{rotor} command": values for rotor, values in self.commands.items()},
+            **{f"{name} command": values for name, values in self.commands.items()},
         }
 
     def subset(self, rows: IntArray) -> ForceRecord:
@@ -188,15 +197,16 @@ class LawInputs:
 
     @property
     def rotor(self) -> str:
-        return "main" if self.axis == "pitch" else "tail"
+        """The rotor that moves the axis; the command, where none does."""
+        return self.record.drive
 
     @property
     def other_rotor(self) -> str:
-        return "tail" if self.axis == "pitch" else "main"
+        return self.record.parts.other_drive(self.rotor)
 
     @property
     def other_axis(self) -> str:
-        return "yaw" if self.axis == "pitch" else "pitch"
+        return self.record.parts.other_axis(self.axis)
 
     @property
     def one(self) -> FloatArray:
@@ -219,17 +229,25 @@ class LawInputs:
         """The speed of a rotor; in its stead the command after lags that rotors have."""
         if rotor in self.record.speeds:
             return [self.record.speeds[rotor]]
+        if rotor not in self.record.parts.rotors:
+            return []
         return [self.lagged(u, time) for u in self.command(rotor) for time in _ROTORS]
 
     @property
     def cosine(self) -> FloatArray:
-        pitch = self.angle("pitch")
-        return np.cos(pitch[0]) if pitch else self.one
+        tilt = self.angle(self.record.parts.tilting)
+        return np.cos(tilt[0]) if tilt else self.one
 
     @property
     def sine(self) -> FloatArray:
-        pitch = self.angle("pitch")
-        return np.sin(pitch[0]) if pitch else 0 * self.one
+        tilt = self.angle(self.record.parts.tilting)
+        return np.sin(tilt[0]) if tilt else 0 * self.one
+
+    @property
+    def lever(self) -> FloatArray:
+        """Of a thrust on the axis: that of an axis which another one tilts shrinks with it."""
+        tilting = self.record.parts.tilting
+        return self.cosine if self.axis != tilting and self.angle(tilting) else self.one
 
     def slope(self, values: FloatArray) -> FloatArray:
         """Derivative by time, within stretches."""
@@ -278,7 +296,9 @@ def _rest(at: LawInputs) -> Columns:
     for rate in at.rate(at.axis):
         resting = np.exp(-((rate / (_SHARP[1] * float(rate.std()) + 1e-12)) ** 2))
         drives = [speed * np.abs(speed) for speed in at.speeds(at.rotor)]
-        drives += at.angle(at.axis) if at.axis == "yaw" else [at.sine, at.cosine]
+        drives += [] if at.rotor in at.record.parts.rotors else at.command(at.rotor)
+        tilts = at.axis == at.record.parts.tilting
+        drives += [at.sine, at.cosine] if tilts else at.angle(at.axis)
         columns += [resting * (drive - drive.mean()) for drive in drives]
     return columns
 
@@ -317,22 +337,21 @@ def hysteresis(record: ForceRecord, angle: FloatArray) -> Columns:
 
 
 def _imbalance(at: LawInputs) -> Columns:
-    return [at.cosine, at.sine] if at.angle("pitch") else []
+    return [at.cosine, at.sine] if at.angle(at.record.parts.tilting) else []
 
 
 def _reaction(at: LawInputs) -> Columns:
     """Drag and acceleration of the other axis's rotor."""
-    lever = at.cosine if at.axis == "yaw" else at.one
     columns: Columns = []
     for speed in at.speeds(at.other_rotor):
-        columns += [lever * speed * np.abs(speed), lever * at.slope(speed)]
+        columns += [at.lever * speed * np.abs(speed), at.lever * at.slope(speed)]
     return columns
 
 
 def _gyroscopic(at: LawInputs) -> Columns:
     return [
         speed * rate * lever
-        for speed in at.speeds("main")
+        for speed in at.speeds(at.record.parts.drive_of(at.record.parts.tilting))
         for rate in at.rate(at.other_axis)
         for lever in (at.sine, at.cosine)
     ]
@@ -343,7 +362,7 @@ def _inflow(at: LawInputs) -> Columns:
 
 
 def _thrust(at: LawInputs) -> Columns:
-    lever = at.cosine if at.axis == "yaw" and at.record.location.endswith("moment") else at.one
+    lever = at.lever if at.record.kind == "moment" else at.one
     return [lever * speed * np.abs(speed) for speed in at.speeds(at.rotor)]
 
 
@@ -354,7 +373,7 @@ def _reverse_thrust(at: LawInputs) -> Columns:
 
 
 def _near_table(at: LawInputs) -> Columns:
-    if at.axis != "pitch":
+    if at.axis != at.record.parts.tilting:
         return []
     return [
         np.maximum(thrust, 0) * np.exp(-(at.sine - _TABLE) / cushion)
@@ -393,7 +412,7 @@ def _derating(at: LawInputs) -> Columns:
 
 def _downstream(at: LawInputs, columns: Columns) -> Columns:
     """What volts before the motor are in the thrust: after the rotor's lag, times its speed."""
-    if at.record.location.endswith(("actuator", "motor")):
+    if at.record.kind in ("actuator", "motor") or at.rotor not in at.record.parts.rotors:
         return columns
     speed = at.speeds(at.rotor)
     if not speed:
@@ -407,16 +426,16 @@ def _spin_up(at: LawInputs) -> Columns:
 
 #: In words, and what a regression takes, by name.
 LAWS: dict[str, tuple[str, Callable[[LawInputs], Columns]]] = {
-    "sign_of_rate": ("the sign of the {axis} rate (dry friction)", _sign_of_rate),
+    "sign_of_rate": ("the sign of the {rate} (dry friction)", _sign_of_rate),
     "rest": ("what holds the axis at rest (stiction)", _rest),
-    "quadratic_damping": ("the {axis} rate squared", _quadratic),
-    "stiffness": ("the {axis} angle (a spring)", lambda at: at.angle(at.axis)),
-    "cubic_stiffness": ("the {axis} angle cubed (a hardening spring)", _cubic_stiffness),
+    "quadratic_damping": ("the {rate} squared", _quadratic),
+    "stiffness": ("the {angle} (a spring)", lambda at: at.angle(at.axis)),
+    "cubic_stiffness": ("the {angle} cubed (a hardening spring)", _cubic_stiffness),
     "hysteresis": ("the travel since the last reversal (hysteresis)", _hysteresis),
-    "imbalance": ("cosine and sine of the pitch (a mass out of balance)", _imbalance),
+    "imbalance": ("cosine and sine of the {tilting} (a mass out of balance)", _imbalance),
     "reaction": ("drag and acceleration of the other rotor", _reaction),
     "gyroscopic": ("rotor speed times the rate of the other axis", _gyroscopic),
-    "inflow": ("rotor speed times the {axis} rate (inflow)", _inflow),
+    "inflow": ("rotor speed times the {rate} (inflow)", _inflow),
     "thrust": ("the thrust itself", _thrust),
     "reverse_thrust": ("the thrust in reverse", _reverse_thrust),
     "near_table": ("the thrust near the table", _near_table),

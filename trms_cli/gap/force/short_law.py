@@ -27,10 +27,6 @@ _CATCHES = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 _SHARP = 0.03
 #: Share that a first term must explain to be told, and that a second must add.
 _FIRST, _SECOND = 0.3, 0.04
-_GREEK = {"pitch": "α_v", "yaw": "α_h"}
-_RATES = {"pitch": "Ω_v", "yaw": "Ω_h"}
-_SPEEDS = {"main": "ω_v", "tail": "ω_h"}
-_COMMANDS = {"main": "u_v", "tail": "u_h"}
 
 
 @dataclass(frozen=True)
@@ -80,7 +76,7 @@ def short_law_of(record: ForceRecord) -> tuple[str, ...]:
     if not selection:
         return ()
     sizes = _sizes(record, [beside, *(term.columns for term in selection)])
-    what = _whats_missing(record.location)
+    what = _whats_missing(record)
     formulas = [term.formula(s, record.unit) for term, s in zip(selection, sizes, strict=True)]
     text = f"The closest short law is {formulas[0]}"
     if len(selection) > 1:
@@ -91,12 +87,13 @@ def short_law_of(record: ForceRecord) -> tuple[str, ...]:
     return (text,)
 
 
-def _whats_missing(location: str) -> str:
-    side, kind = location.split("_")
+def _whats_missing(record: ForceRecord) -> str:
+    kind, part = record.kind, record.parts.part_of(record.location)
     if kind == "sensor":
-        return f"of what the {side} sensor adds to the angle"
+        return f"of what the {part} sensor adds to the {record.parts.nouns(record.axis)[0]}"
+    force = "torque" if record.unit == "N*m" else "force"
     return (
-        f"of the missing {side} torque" if kind == "moment" else f"of what the {side} motor lacks"
+        f"of the missing {part} {force}" if kind == "moment" else f"of what the {part} motor lacks"
     )
 
 
@@ -118,94 +115,98 @@ def _sizes(record: ForceRecord, columns: list[FloatArray]) -> list[FloatArray]:
 
 def _parameters_do(record: ForceRecord) -> FloatArray:
     """Columns of what nominal parameters do to the equation, (k, p)."""
-    axis, rotor = record.axis, _rotor(record.axis)
+    axis, rotor, parts = record.axis, record.drive, record.parts
     columns = [record.angles[axis]]
-    if record.location.endswith("sensor"):
+    if record.kind == "sensor":
         return np.array(columns).T
     if axis in record.rates:
         columns.append(record.rates[axis])
-    if axis == "yaw":  # the cable's spring differs from side to side
-        columns.append(np.abs(record.angles[axis]))
-    if axis == "pitch":
+    if axis == parts.tilting:
         columns += [np.sin(record.angles[axis]), np.cos(record.angles[axis])]
+    else:  # a cable's spring differs from side to side
+        columns.append(np.abs(record.angles[axis]))
     if rotor in record.speeds:
         speed = record.speeds[rotor]
         columns += [speed, speed * np.abs(speed)]
-    if record.location.endswith("motor") and rotor in record.commands:
+    if rotor in record.commands and (record.kind == "motor" or rotor not in parts.rotors):
         columns.append(record.commands[rotor])
     return np.array(columns).T
 
 
 def short_terms(record: ForceRecord) -> Iterator[ShortTerm]:
     """All that are tried, as far as the record has what they are of."""
-    axis = record.axis
-    other = "yaw" if axis == "pitch" else "pitch"
-    if record.location.endswith("motor"):
-        yield from _of_a_drive(record, _rotor(axis), _rotor(other))
+    axis, parts = record.axis, record.parts
+    other = parts.other_axis(axis)
+    if record.kind == "motor":
+        yield from _of_a_drive(record, record.drive, parts.drive_of(other))
         return
-    yield from _of_an_angle(record.angles[axis], _GREEK[axis])
-    if record.location.endswith("sensor"):
+    yield from _of_an_angle(record, axis)
+    if record.kind == "sensor":
         return
-    if other in record.angles:
-        yield from _harmonics(record.angles[other], _GREEK[other], _FEW)
+    if other in record.angles and parts.turns(other):
+        yield from _harmonics(record.angles[other], parts.symbol(other), _FEW)
     if axis in record.rates:
-        rate, name = record.rates[axis], _RATES[axis]
+        rate, name = record.rates[axis], parts.rate_symbol(axis)
         yield _term(f"sgn {name}", "", _sign(rate))
-        yield _term(f"{name}|{name}|", "rad²/s²", rate * np.abs(rate))
+        yield _term(f"{name}|{name}|", f"{parts.unit(axis)}²/s²", rate * np.abs(rate))
     if other in record.rates:
-        yield _term(_RATES[other], "rad/s", record.rates[other])
+        yield _term(parts.rate_symbol(other), f"{parts.unit(other)}/s", record.rates[other])
     yield from _of_rotors(record, axis, other)
 
 
-def _of_an_angle(angle: FloatArray, name: str) -> Iterator[ShortTerm]:
-    yield from _harmonics(angle, name, _HARMONICS)
-    yield _term(f"{name}²", "rad²", angle**2)
-    yield _term(f"{name}³", "rad³", angle**3)
+def _of_an_angle(record: ForceRecord, axis: str) -> Iterator[ShortTerm]:
+    angle, name, unit = record.angles[axis], record.parts.symbol(axis), record.parts.unit(axis)
+    if record.parts.turns(axis):
+        yield from _harmonics(angle, name, _HARMONICS)
+    yield _term(f"{name}²", f"{unit}²", angle**2)
+    yield _term(f"{name}³", f"{unit}³", angle**3)
     for limit in np.quantile(np.abs(angle), _CATCHES).tolist():
         at = float(f"{limit:.2g}")
         beyond = np.sign(angle) * np.maximum(np.abs(angle) - at, 0.0)
-        yield _term(
-            f"(|{name}| − {at:g} rad) sgn {name} beyond |{name}| = {at:g} rad", "rad", beyond
-        )
+        text = f"(|{name}| − {at:g} {unit}) sgn {name} beyond |{name}| = {at:g} {unit}"
+        yield _term(text, unit, beyond)
 
 
 def _of_rotors(record: ForceRecord, axis: str, other: str) -> Iterator[ShortTerm]:
-    rotor, beside = _rotor(axis), _rotor(other)
+    parts = record.parts
+    rotor, beside, tilting = (parts.drive_of(name) for name in (axis, other, parts.tilting))
     if rotor in record.speeds:
-        w, name = record.speeds[rotor], _SPEEDS[rotor]
+        w, name = record.speeds[rotor], parts.speed_symbol(rotor)
         thrust, unit = w * np.abs(w), "rad²/s²"
         for angle_axis, angle in record.angles.items():
-            symbol = _GREEK[angle_axis]
+            symbol = parts.symbol(angle_axis)
             yield _term(f"{name}|{name}| sin² {symbol}", unit, thrust * np.sin(angle) ** 2)
             yield _term(f"{name}|{name}| sin {symbol}", unit, thrust * np.sin(angle))
         yield _term(f"|{name}|³ sgn {name}", "rad³/s³", w**3)
         if axis in record.rates:
             rate = record.rates[axis]
-            yield _term(f"|{name}| {_RATES[axis]}", unit, np.abs(w) * rate)
+            yield _term(f"|{name}| {parts.rate_symbol(axis)}", unit, np.abs(w) * rate)
     if beside in record.speeds:
-        w, name = record.speeds[beside], _SPEEDS[beside]
+        w, name = record.speeds[beside], parts.speed_symbol(beside)
         yield _term(f"{name}|{name}|", "rad²/s²", w * np.abs(w))
-    if "main" in record.speeds and other in record.rates:
-        spin = record.speeds["main"] * record.rates[other]
-        yield _term(f"ω_v {_RATES[other]}", "rad²/s²", spin)
+    if tilting in record.speeds and other in record.rates:
+        spin = record.speeds[tilting] * record.rates[other]
+        text = f"{parts.speed_symbol(tilting)} {parts.rate_symbol(other)}"
+        yield _term(text, "rad²/s²", spin)
 
 
 def _of_a_drive(record: ForceRecord, rotor: str, other: str) -> Iterator[ShortTerm]:
+    parts, volts = record.parts, record.parts.command_unit(rotor)
     if rotor in record.speeds:
-        w, name = record.speeds[rotor], _SPEEDS[rotor]
+        w, name = record.speeds[rotor], parts.speed_symbol(rotor)
         yield _term(f"sgn {name}", "", _sign(w))
         yield _term(f"{name}³", "rad³/s³", w**3)
     if rotor in record.commands:
-        u, name = record.commands[rotor], _COMMANDS[rotor]
+        u, name = record.commands[rotor], parts.command_symbol(rotor)
         yield _term(f"sgn {name}", "", _sign(u))
-        yield _term(f"{name}|{name}|", "V²", u * np.abs(u))
-        yield _term(f"{name}³", "V³", u**3)
+        yield _term(f"{name}|{name}|", f"{volts}²", u * np.abs(u))
+        yield _term(f"{name}³", f"{volts}³", u**3)
         if other in record.commands:
-            load, beside = record.commands[other], _COMMANDS[other]
-            yield _term(f"{name} {beside}", "V²", u * load)
-            yield _term(f"{name} {beside}²", "V³", u * load**2)
-            yield _term(f"{name} |{beside}|", "V²", u * np.abs(load))
-            yield _term(beside, "V", load)
+            load, beside = record.commands[other], parts.command_symbol(other)
+            yield _term(f"{name} {beside}", f"{volts}²", u * load)
+            yield _term(f"{name} {beside}²", f"{volts}³", u * load**2)
+            yield _term(f"{name} |{beside}|", f"{volts}²", u * np.abs(load))
+            yield _term(beside, volts, load)
 
 
 def _harmonics(angle: FloatArray, name: str, numbers: range) -> Iterator[ShortTerm]:
@@ -221,7 +222,3 @@ def _term(text: str, unit: str, column: FloatArray) -> ShortTerm:
 
 def _sign(values: FloatArray) -> FloatArray:
     return np.asarray(np.tanh(values / (_SHARP * float(values.std()) + 1e-12)))
-
-
-def _rotor(axis: str) -> str:
-    return "main" if axis == "pitch" else "tail"
