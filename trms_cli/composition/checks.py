@@ -12,12 +12,14 @@ that does. Three forms are ours and rewritten:
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Collection, Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from trms_cli.composition.catalogue import Groups, Primary, read_yaml
+from trms_cli.composition.laws import EFFECTS, chosen_nodes
 from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse, quote_value
 from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import ConfigurationError
@@ -157,12 +159,29 @@ def _choice(override: Override, primary: Primary, groups: Groups, multirun: bool
         _refuse_twice(group, names)
         override = override._replace(value=_as_lists(group, value, names, multirun))
         names = [name for item in names for name in plain_names(item.strip("[]")) or []]
+        if group == EFFECTS and (nodes := chosen_nodes(names, groups)) and not multirun:
+            return _generated(override, names, nodes, groups)
+        names = [name for name in names if group != EFFECTS or name not in nodes]
     elif any(is_path(name) for name in names):
         return _from_file(override, names, groups)
     for name in names:
         if name != "null" or primary.defaults[group] is not None:
             _require_option(group, name, groups)
     return [override]
+
+
+def _generated(
+    override: Override, names: Sequence[str], nodes: Mapping[str, Mapping[str, Any]], groups: Groups
+) -> list[Override]:
+    """The choice of the options that there are, and a value for each effect that is generated."""
+    options = [name for name in names if name not in nodes]
+    for name in options:
+        _require_option(override.key, name, groups)
+    values = []
+    for name, node in nodes.items():
+        content = ",".join(f"{key}:{json.dumps(value)}" for key, value in node.items())
+        values.append(Override("++", f"{override.key}.{name}", "", f"{{{content}}}"))
+    return [override._replace(value=f"[{','.join(options)}]"), *values]
 
 
 def _require_option(group: str, name: str, groups: Groups, package: str = "") -> None:

@@ -428,7 +428,8 @@ def _with_choices_only(
     choices = []
     for text in overrides:
         override = parse(text, {})
-        if override.package or override.key in declared.defaults:
+        generated = (override.value or "").startswith("{_target_:")  # an effect on a port
+        if override.package or generated or override.key in declared.defaults:
             choices.append(text)
     try:
         return compose(choices)

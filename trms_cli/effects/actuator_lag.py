@@ -20,7 +20,7 @@ class ActuatorLag(Effect):
     """Lag of one command."""
 
     rotor: str  #: Name of a rotor of the model
-    time_constant: NotNegative  #: τ, s
+    time_constant: NotNegative | None = None  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("time_constant", "s", (0.005, 0.1), "time constant τ"),)

@@ -30,9 +30,9 @@ class CableHysteresis(Effect):
     """Bouc–Wen hysteresis."""
 
     axis: str  #: Name of an axis of the model
-    torque: NotNegative  #: T, N m: half the height of the loop
+    torque: NotNegative | None = None  #: T, N m: half the height of the loop
     #: rad: the travel after a reversal over which the torque turns
-    width: Annotated[float, Meta(ge=_NARROWEST)]
+    width: Annotated[float, Meta(ge=_NARROWEST)] | None = None
     #: β: 1/2 unloads along a straight line, 1 along the same exponential as it loads (Dahl)
     beta: Annotated[float, Meta(ge=0.5, le=1)] = 0.5
     exponent: Annotated[float, Meta(ge=1)] = 1.0  #: n: how sharply the loop bends into saturation

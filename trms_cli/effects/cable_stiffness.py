@@ -20,7 +20,7 @@ class CableStiffness(Effect):
     """A spring that may harden."""
 
     axis: str  #: Name of an axis of the model
-    stiffness: NotNegative  #: k, N m/rad
+    stiffness: NotNegative | None = None  #: k, N m/rad
     cubic: NotNegative = 0.0  #: k₃, N m/rad³
     neutral: Annotated[float, Meta(ge=-3.2, le=3.2)] = 0.0  #: α₀, rad
 

@@ -21,7 +21,7 @@ class ConstantTorque(Effect):
     explains: ClassVar[bool] = False
 
     axis: str  #: Name of an axis of the model
-    torque: Annotated[float, Meta(ge=-1e3, le=1e3)] = 0.01  #: N m
+    torque: Annotated[float, Meta(ge=-1e3, le=1e3)] | None = None  #: N m
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("torque", "N*m", (-0.02, 0.02), "constant torque"),)

@@ -17,7 +17,7 @@ class CoulombFriction(Effect):
     """Coulomb friction."""
 
     axis: str  #: Name of an axis of the model
-    torque: NotNegative  #: F_c, N m
+    torque: NotNegative | None = None  #: F_c, N m
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("torque", "N*m", (0.002, 0.02), "Coulomb torque F_c"),)

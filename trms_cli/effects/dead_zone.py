@@ -19,7 +19,7 @@ class DeadZone(Effect):
     """Dead zone of one command."""
 
     rotor: str  #: Name of a rotor of the model
-    width: NotNegative  #: d, V: to either side of zero
+    width: NotNegative | None = None  #: d, V: to either side of zero
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("width", "V", (0.025, 0.15), "half width d"),)

@@ -28,8 +28,9 @@ class Disturbance(Effect):
     """Coloured torque; it begins at zero."""
 
     axis: str  #: Name of an axis of the model
-    torque: NotNegative  #: σ, N m: standard deviation in the long run
-    time: Annotated[float, Meta(ge=_SHORTEST)]  #: τ, s: time over which it forgets itself
+    torque: NotNegative | None = None  #: σ, N m: standard deviation in the long run
+    #: τ, s: time over which it forgets itself
+    time: Annotated[float, Meta(ge=_SHORTEST)] | None = None
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -135,11 +135,11 @@ class Effect(ABC):
             math.nan if value is None else value,
             unit,
             lower=lower,
-            upper=highest if upper is None else upper,
+            upper=highest,
             typical=typical,
             description=description,
         )
-        return at_port(size, self.rig_scale)
+        return at_port(size, self.rig_scale, upper)
 
     def for_model(self, model: Model) -> "Effect":
         """The effect as it acts on a model, with a value for each size that is not given.

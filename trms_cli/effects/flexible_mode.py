@@ -30,9 +30,10 @@ class FlexibleMode(SensorEffect):
     """A flexible mode in one measured angle."""
 
     axis: str  #: Name of an axis of the model
-    share: Annotated[float, Meta(ge=0, le=10)]  #: c: how much of the deflection is seen
-    frequency: Annotated[float, Meta(ge=_SLOWEST)]  #: ω₀/2π, Hz
-    damping: Annotated[float, Meta(ge=0, le=0.9)]  #: ζ
+    #: c: how much of the deflection is seen
+    share: Annotated[float, Meta(ge=0, le=10)] | None = None
+    frequency: Annotated[float, Meta(ge=_SLOWEST)] | None = None  #: ω₀/2π, Hz
+    damping: Annotated[float, Meta(ge=0, le=0.9)] | None = None  #: ζ
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

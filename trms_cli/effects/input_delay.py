@@ -21,7 +21,7 @@ class InputDelay(Effect):
     """Transport delay of one command."""
 
     rotor: str  #: Name of a rotor of the model
-    delay: NotNegative  #: s
+    delay: NotNegative | None = None  #: s
     #: Bound of the delay, s; the past commands that are kept reach back this far
     longest: Positive = 0.2
 
@@ -30,7 +30,7 @@ class InputDelay(Effect):
 
     @property
     def _reach(self) -> float:
-        return max(self.longest, self.delay)
+        return max(self.longest, self.delay or 0.0)
 
     def memory(self, step: float) -> tuple[Signal, ...]:
         count = math.ceil(self._reach / step - 1e-9)

@@ -14,7 +14,7 @@ class QuadraticDamping(Effect):
     """Damping that grows with the square of the rate."""
 
     axis: str  #: Name of an axis of the model
-    coefficient: NotNegative  #: c, N m s²/rad²
+    coefficient: NotNegative | None = None  #: c, N m s²/rad²
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("coefficient", "N*m*s^2/rad^2", (0.002, 0.02), "damping coefficient c"),)

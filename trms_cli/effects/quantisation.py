@@ -23,7 +23,7 @@ class Quantisation(SensorEffect):
     """Resolution of one angle."""
 
     axis: str  #: Name of an axis of the model
-    quantum: NotNegative  #: q, rad
+    quantum: NotNegative | None = None  #: q, rad
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("quantum", "rad", (0.001, 0.007), "quantum q"),)

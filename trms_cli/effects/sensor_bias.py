@@ -17,7 +17,7 @@ class SensorBias(SensorEffect):
     """Constant error of one angle."""
 
     axis: str  #: Name of an axis of the model
-    bias: Annotated[float, Meta(ge=-1, le=1)]  #: b, rad
+    bias: Annotated[float, Meta(ge=-1, le=1)] | None = None  #: b, rad
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("bias", "rad", (-0.035, 0.035), "bias b"),)

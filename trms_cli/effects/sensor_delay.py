@@ -25,7 +25,7 @@ class SensorDelay(SensorEffect):
     """Transport delay of one measured angle."""
 
     axis: str  #: Name of an axis of the model
-    delay: NotNegative  #: d, s
+    delay: NotNegative | None = None  #: d, s
     #: Bound of the delay, s; the past angles that are kept reach back this far
     longest: Positive = 0.1
 
@@ -34,7 +34,7 @@ class SensorDelay(SensorEffect):
 
     @property
     def _reach(self) -> float:
-        return max(self.longest, self.delay)
+        return max(self.longest, self.delay or 0.0)
 
     def sensor_memory(self, step: float) -> tuple[Signal, ...]:
         # One more than the delay reaches: the slope of the last stretch needs a neighbour.

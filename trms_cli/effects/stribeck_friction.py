@@ -37,10 +37,10 @@ class StribeckFriction(Effect):
     )
 
     axis: str  #: Name of an axis of the model
-    torque: NotNegative  #: F_c, N m: friction of the turning axis
-    excess: NotNegative  #: e = F_s/F_c − 1: break-away torque over it
+    torque: NotNegative | None = None  #: F_c, N m: friction of the turning axis
+    excess: NotNegative | None = None  #: e = F_s/F_c − 1: break-away torque over it
     #: v_s, rad/s: rate at which the excess has fallen to 1/e
-    velocity: Annotated[float, Meta(ge=_SLOWEST)]
+    velocity: Annotated[float, Meta(ge=_SLOWEST)] | None = None
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (

@@ -19,14 +19,14 @@ from trms_cli.models.parameters import Parameter
 class TachoLag(SensorEffect):
     """Low-pass filter of one measured rotor speed."""
 
-    rotor: str  #: Name of a rotor of the model
-    time_constant: NotNegative  #: τ, s
+    rotor: str  #: Name of a rotor of the model, or of an output
+    time_constant: NotNegative | None = None  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:
         return (self.size("time_constant", "s", (0.005, 0.1), "time constant τ"),)
 
     def sensor_memory(self, step: float) -> tuple[Signal, ...]:
-        return (Signal("lag", "rad/s", "shown speed less the true one"),)
+        return (Signal("lag", "rad", "what is shown less what is there"),)
 
     def sensor_path(
         self, at: EffectContext, before: ca.SX, after: ca.SX, window: Window, step: float

@@ -173,11 +173,11 @@ def _signal(signals: Sequence[Signal], name: str) -> Signal:
     return signals[index_of(signals, name, "a signal of the model")]
 
 
-def at_port(parameter: Parameter, scale: PortScale) -> Parameter:
+def at_port(parameter: Parameter, scale: PortScale, upper: float | None = None) -> Parameter:
     """A size stated for small benches (in N m, rad, s, V and their powers) as it is at a port.
 
-    Unit, typical range and bounds are the port's own. A value that is not given, NaN, becomes the
-    middle of the range.
+    Unit, typical range and bounds are the port's own, ``upper`` is a nearer bound in any case. A
+    value that is not given, NaN, becomes the middle of the range.
     """
     ratio = 1.0
     for sign, unit, power in _FACTOR.findall(parameter.unit):
@@ -186,6 +186,9 @@ def at_port(parameter: Parameter, scale: PortScale) -> Parameter:
     if typical is not None and ratio != 1.0:
         low, high = (float(f"{end * ratio:.2g}") for end in typical)
         typical = (low, high)
+    highest = parameter.upper * ratio if upper is None else upper
+    if typical is not None and typical[1] > highest:
+        typical = (min(typical[0], highest / 2), highest)
     value = parameter.value
     if math.isnan(value):
         low, high = typical or (0.0, 0.0)
@@ -196,7 +199,7 @@ def at_port(parameter: Parameter, scale: PortScale) -> Parameter:
         unit=unit_at_port(parameter.unit, scale),
         typical=typical,
         lower=parameter.lower * ratio,
-        upper=parameter.upper * ratio,
+        upper=highest,
     )
 
 

@@ -15,6 +15,7 @@ from msgspec import Meta
 
 from trms_cli.composition.catalogue import config_folder, read_groups, read_yaml
 from trms_cli.composition.composer import Composition
+from trms_cli.composition.laws import at_own_port, generated_nodes
 from trms_cli.composition.plain_values import model_of_choice
 from trms_cli.core import wording
 from trms_cli.core.errors import (
@@ -306,6 +307,10 @@ def candidates_of(
     that the model cannot carry.
     """
     library = effect_nodes(config_dirs)
+    generated = dict(generated_nodes(model, read_groups(config_dirs)))
+    if model.bench_sizes:  # the library is its own; others are generated where they are named
+        generated = {name: node for name, node in generated.items() if name in words}
+    library = generated | library
     effects: dict[str, Effect] = {}
     left_out: dict[str, str] = {}
     present = effect_names(model)
@@ -323,12 +328,15 @@ def candidates_of(
         if not effect.explains and name not in words:
             continue
         try:
-            ExtendedModel(model, name, effect)
+            effect = ExtendedModel(model, name, effect).effect
         except ModelError as error:
             if name in words:
                 raise
-            left_out[name] = error.problem
+            if name not in generated:  # most laws fit few ports: that goes without saying
+                left_out[name] = error.problem
             continue
+        if name in generated and name not in words and not at_own_port(name, effect, model):
+            continue  # a sensor of an axis goes by its output's name
         effects[name] = effect
     if not effects:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
