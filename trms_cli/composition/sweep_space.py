@@ -33,6 +33,7 @@ from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, 
 from trms_cli.composition.plain_values import value_at, whole_number
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build, nearest, require_known
+from trms_cli.models.model import Model
 from trms_cli.models.parameters import DRAW_LIMIT_SD, Parameter
 from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
 
@@ -547,6 +548,8 @@ def _of_effect(
             remedy=f"choose it with effect={name}; chosen: {', '.join(effects) or 'none'}",
         )
     effect = build(effects[name], f"{_EFFECTS}.{name}")
+    if isinstance(model := build(config["model"], "model"), Model):
+        effect = effect.for_model(model)  # what is typical is so of this rig
     sizes = {p.name: p for p in effect.parameters() if p.name in effects[name]}
     ranged = [each for each, parameter in sizes.items() if parameter.typical]
     size_names = [size] if size else ranged

@@ -108,7 +108,7 @@ class Effect(ABC):
     #: What is large where it acts; see :meth:`for_model`
     rig_scale: ClassVar[PortScale] = BENCH
     #: An effect of the same axis that this one is where one of some sizes is below a value: its
-    #: class, and these values by size
+    #: class, and these values by size, as shares of the least typical ones
     special_case: ClassVar["tuple[type[Effect], Mapping[str, float]] | None"] = None
 
     @abstractmethod

@@ -33,7 +33,7 @@ class StribeckFriction(Effect):
     #: bend: an excess that is gone at a few mrad/s is theirs
     special_case: ClassVar[tuple[type[Effect], Mapping[str, float]] | None] = (
         CoulombFriction,
-        {"excess": 0.2, "velocity": 0.006},
+        {"excess": 2.0, "velocity": 0.6},
     )
 
     axis: str  #: Name of an axis of the model

@@ -20,11 +20,11 @@ from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_
 from trms_cli.effects.places import places_of
 from trms_cli.effects.quantisation import Quantisation
 from trms_cli.gap.diagnosis import DiagnosedRecording
-from trms_cli.identification.data import noise_estimate
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter
 from trms_cli.models.model import Model, names
 from trms_cli.models.parameters import Parameter
+from trms_cli.plants.sensors import noise_estimate
 
 Effort = Literal["quick", "normal", "thorough"]
 
@@ -391,7 +391,10 @@ class CandidateEffect:
     @property
     def _limits(self) -> Mapping[str, float]:
         """Sizes below which it is its special case."""
-        return {} if self.effect.special_case is None else self.effect.special_case[1]
+        if self.effect.special_case is None:
+            return {}
+        least = {p.name: p.typical[0] for p in self.effect.parameters() if p.typical}
+        return {size: share * least[size] for size, share in self.effect.special_case[1].items()}
 
     def _is_usual(self, values: Mapping[str, float]) -> bool:
         return all(values[f"{self.name}.{size}"] >= least for size, least in self._limits.items())
