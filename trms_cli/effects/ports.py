@@ -14,7 +14,9 @@ from trms_cli.core.errors import ModelError
 from trms_cli.core.ranges import NotNegative
 from trms_cli.effects.actuator_lag import ActuatorLag
 from trms_cli.effects.effect import Effect
+from trms_cli.effects.input_bias import InputBias
 from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.sensor_bias import SensorBias
 from trms_cli.effects.sensor_delay import SensorDelay
 from trms_cli.effects.tacho_lag import TachoLag
 from trms_cli.models.model import Model, names
@@ -61,6 +63,19 @@ class Delay(PortEffect):
 
     def on_output(self) -> Effect:
         return SensorDelay(axis=self.port_name, delay=self.delay, longest=self.longest)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bias(PortEffect):
+    """Constant error of a command or of a measurement."""
+
+    bias: Annotated[float, Meta(ge=-1e6, le=1e6)] | None = None  #: In the port's unit
+
+    def on_input(self) -> Effect:
+        return InputBias(rotor=self.port_name, bias=self.bias)
+
+    def on_output(self) -> Effect:
+        return SensorBias(axis=self.port_name, bias=self.bias)
 
 
 @dataclass(frozen=True, kw_only=True)
