@@ -9,8 +9,9 @@ import pytest
 
 from tests.recordings.played_rig import BENCH, play
 from trms_cli.core.errors import ConfigurationError, RecordingError
-from trms_cli.identification.data import DataOptions, files_of, load_datasets, noise_estimate
+from trms_cli.identification.data import DataOptions, files_of, load_datasets
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.plants.sensors import noise_estimate
 from trms_cli.recordings.csv_recording import write_csv
 
 MODEL = Newtonian()

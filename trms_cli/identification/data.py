@@ -27,10 +27,6 @@ from trms_cli.recordings.preparation import Preparation
 ESTIMATE: Literal["estimate"] = "estimate"
 #: The log in a folder of ``trms run``.
 _LOG = "run.mcap"
-#: Standard deviation of a normal variable over its median absolute value.
-_MAD_TO_SD = 1.4826
-#: The third difference of white noise of variance 1 has the variance 1 + 9 + 9 + 1.
-_THIRD_DIFFERENCE_SD = 20**0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +35,8 @@ class DataOptions:
 
     start: float | None = None  #: Part of each recording to take, s in its own time
     end: float | None = None  #: None for all
+    #: Name of a signal's column in the file, where it has another one: {position: q_meas}
+    names: Mapping[str, str] = field(default_factory=dict)
     #: By input: what a recorded 1 is in the model's unit, where the units differ
     input_scale: Mapping[str, float] = field(default_factory=dict)
     #: By output: what is added to it, in its SI unit, where its zero is another one than the
@@ -49,7 +47,8 @@ class DataOptions:
     jitter: Annotated[float, Meta(gt=0, lt=0.5)] = 0.2
     channels: tuple[str, ...] | None = None  #: Outputs to use; None: all that both have
     #: dict of str to float, or "estimate"; white noise per output, in its unit. ``estimate`` takes
-    #: it from the data: see :func:`noise_estimate`.
+    #: it from the data (see :func:`noise_estimate`), as that of an output is which neither this nor
+    #: ``quantum`` names while they name others.
     noise_sd: Mapping[str, Annotated[float, Meta(ge=0)]] | Literal["estimate"] = field(
         default_factory=dict
     )
@@ -64,17 +63,22 @@ class DataOptions:
     #: s by which a channel is recorded late; negative for one that is early
     delays: Mapping[str, float] = field(default_factory=dict)
 
-    def selection(self) -> Selection:
-        """What of a recording a model takes."""
+    def sensors(self) -> Sensors:
+        """The channels that are taken, and what is declared of their noise."""
         noise = {} if self.noise_sd == ESTIMATE else self.noise_sd
         assert isinstance(noise, Mapping)
+        return Sensors(channels=self.channels, noise_sd=noise, quantum=self.quantum)
+
+    def selection(self) -> Selection:
+        """What of a recording a model takes."""
         return Selection(
             start=self.start,
             end=self.end,
+            names=self.names,
             input_scale=self.input_scale,
             command_delay=self.command_delay,
             jitter=self.jitter,
-            sensors=Sensors(channels=self.channels, noise_sd=noise, quantum=self.quantum),
+            sensors=self.sensors(),
         )
 
     def preparation(self) -> Preparation:
@@ -108,14 +112,13 @@ def load_datasets(
         for run in runs:
             remarks = [*run.remarks]
             measurements = _offset(run.measurements, run.outputs, options.offset, remarks)
-            noise = np.array([run.noise_sd[name] for name in names(run.outputs)])
-            if options.noise_sd == ESTIMATE:
-                noise = np.maximum(noise, noise_estimate(run.measurements))
-                figures = zip(run.outputs, noise, strict=True)
-                remarks.append(
-                    "noise estimated from the data: "
-                    + ", ".join(f"{s.name} {sd:.3g} {s.unit}" for s, sd in figures)
-                )
+            measured = names(run.outputs)
+            noise_sd = options.sensors().noise_in(
+                run.measurements,
+                run.outputs,
+                remarks,
+                measured if options.noise_sd == ESTIMATE else (),
+            )
             dataset = Dataset(
                 _unique(file, [d.name for d in datasets]),
                 file,
@@ -126,7 +129,7 @@ def load_datasets(
                 run.outputs,
                 np.ascontiguousarray(run.commands),
                 np.ascontiguousarray(measurements),
-                noise,
+                np.array([noise_sd[name] for name in measured]),
                 tuple(remarks),
             )
             # Before anything simulates it: between samples of 20 s nothing stays finite.
@@ -158,26 +161,6 @@ def _offset(
         result[:, index] += value
         remarks.append(f"{value:+.4g} {outputs[index].unit} added to {name}")
     return result
-
-
-def noise_estimate(measurements: FloatArray) -> FloatArray:
-    """Standard deviation of the white noise on each column.
-
-    From the third differences, in which a motion that is smooth over four samples cancels, by
-    their median absolute value, which single outliers do not move. Samples beside a missing
-    one have no part in it. It overestimates where the motion is fast for the sample time. A
-    channel at rest on an encoder's step gives 0; the quantum's share is declared apart.
-
-    ``measurements``: (n, n_y) array; NaN where missing. Returns (n_y,) array; 0 for a column with
-    fewer than eight differences.
-    """
-    estimates = []
-    for column in measurements.T:
-        third = np.diff(column, 3)
-        third = third[np.isfinite(third)]
-        spread = float(np.median(np.abs(third))) if len(third) >= 8 else 0.0
-        estimates.append(_MAD_TO_SD * spread / _THIRD_DIFFERENCE_SD)
-    return np.array(estimates)
 
 
 def files_of(real: Sequence[str] | str) -> list[str]:
@@ -237,8 +220,10 @@ def _in_words_of_data() -> Iterator[None]:
         yield
     except TrmsError as error:
         for part in ("where", "remedy"):
-            text = str(getattr(error, part)).replace("plant.file", "real")
-            text = text.replace("plant.", "data.").replace("sensors.", "data.")
+            text = str(getattr(error, part))
+            if part == "remedy" or text.startswith(("plant.", "sensors.")):  # it may be a path
+                text = text.replace("plant.file", "real")
+                text = text.replace("plant.", "data.").replace("sensors.", "data.")
             if part == "where" and text.split(".")[0] in ("resample", "gaps", "delays"):
                 text = f"data.{text}"
             setattr(error, part, text)

@@ -3,7 +3,7 @@
 What it holds for a model is read as everywhere: see :mod:`trms_cli.recordings.for_model`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, NoReturn
 
 from msgspec import Meta
@@ -51,4 +51,7 @@ class RecordedRig(Selection):
         Raises RecordingError if it cannot be read or is not evenly sampled. Raises
         ConfigurationError if its channels or units are not those of the model; it tells what to do.
         """
-        return self.read(self.file, model)[0]
+        run = self.read(self.file, model)[0]
+        remarks = [*run.remarks]
+        noise_sd = self.sensors.noise_in(run.measurements, run.outputs, remarks)
+        return replace(run, noise_sd=noise_sd, remarks=tuple(remarks))

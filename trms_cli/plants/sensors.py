@@ -1,6 +1,6 @@
 """Sensors of a simulated rig: noise, quantum, lost samples; all drawn before the run."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -11,10 +11,16 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative
+from trms_cli.models.model import Signal, names
+from trms_cli.recordings.recording import quantum
 
 #: A perfect channel still gets this declared noise (its unit), so that an observer's covariance
 #: stays invertible.
 _LEAST_NOISE = 1e-6
+#: Standard deviation of a normal variable over its median absolute value.
+_MAD_TO_SD = 1.4826
+#: The third difference of white noise of variance 1 has the variance 1 + 9 + 9 + 1.
+_THIRD_DIFFERENCE_SD = 20**0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +63,34 @@ class Sensors:
             for name in channels
         }
 
+    def noise_in(
+        self,
+        measurements: FloatArray,
+        outputs: Sequence[Signal],
+        remarks: list[str],
+        estimated: Collection[str] = (),
+    ) -> dict[str, float]:
+        """Declared noise of what was recorded; of some, and what is not declared, an estimate.
+
+        Where others are declared and a channel is not, the declaration is of another rig: of the
+        bench, while the model has other names. An estimate is told in the remarks.
+
+        ``measurements``: (n, n_y) array; NaN where missing.
+        """
+        noise = self.declared_noise(names(outputs))
+        declared = {*self.noise_sd, *self.quantum}
+        said = []
+        for signal, column in zip(outputs, measurements.T, strict=True):
+            name = signal.name
+            if name in estimated or (declared and name not in declared):
+                noise[name] = max(noise[name], float(noise_estimate(column[:, None])[0]))
+                if name not in estimated:
+                    noise[name] = max(noise[name], (quantum(column) or 0.0) / 12**0.5)
+                said.append(f"{name} {noise[name]:.3g} {signal.unit}")
+        if said:
+            remarks.append(f"noise estimated from the data: {', '.join(said)}")
+        return noise
+
     def draw_noise(
         self, channels: tuple[str, ...], samples: int, generator: np.random.Generator
     ) -> FloatArray:
@@ -71,3 +105,23 @@ class Sensors:
     def quanta(self, channels: tuple[str, ...]) -> FloatArray:
         """Resolution of each channel, 0 for none, shape (n_y,)."""
         return np.array([self.quantum.get(name, 0.0) for name in channels])
+
+
+def noise_estimate(measurements: FloatArray) -> FloatArray:
+    """Standard deviation of the white noise on each column.
+
+    From the third differences, in which a motion that is smooth over four samples cancels, by
+    their median absolute value, which single outliers do not move. Samples beside a missing
+    one have no part in it. It overestimates where the motion is fast for the sample time. A
+    channel at rest on an encoder's step gives 0; the quantum's share is declared apart.
+
+    ``measurements``: (n, n_y) array; NaN where missing. Returns (n_y,) array; 0 for a column with
+    fewer than eight differences.
+    """
+    estimates = []
+    for column in measurements.T:
+        third = np.diff(column, 3)
+        third = third[np.isfinite(third)]
+        spread = float(np.median(np.abs(third))) if len(third) >= 8 else 0.0
+        estimates.append(_MAD_TO_SD * spread / _THIRD_DIFFERENCE_SD)
+    return np.array(estimates)

@@ -15,7 +15,7 @@ import numpy as np
 from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, recorded_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
-from trms_cli.recordings.channels import CHANNELS, Channel, find_channel, nearest_name, to_si
+from trms_cli.recordings.channels import CHANNELS, Channel, Vocabulary, to_si
 from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.recording import Recording, require_channels, require_values, unit_fields
 
@@ -32,39 +32,44 @@ _BLOCK = 10_000  # rows
 
 @dataclass(frozen=True)
 class _Column:
-    name: str
+    name: str  #: As it stands in the file
     unit: str
+    channel: Channel | None  #: None: it is left out
 
 
-def read_csv(path: Path | str) -> Recording:
+def read_csv(path: Path | str, vocabulary: Vocabulary | None = None) -> Recording:
     """Read a CSV recording into SI units.
 
-    Returns empty cells are NaN; gaps in ``t`` stay gaps. Raises RecordingError: whatever is wrong,
-    at its line.
+    ``vocabulary``: of the model that it is read for; None: the file's own. Returns empty cells are
+    NaN; gaps in ``t`` stay gaps. Raises RecordingError: whatever is wrong, at its line.
     """
     path = Path(path)
     lines, ends_with_newline = _lines(path)
     metadata, header_index = _preamble(path, lines)
     header_at = f"{path}:{header_index + 1}"
-    columns = _header(lines[header_index], header_at)
+    cells = _header_cells(lines[header_index], header_at)
+    if vocabulary is None:
+        vocabulary = Vocabulary.declared(metadata, [_parts(cell)[0] for cell in cells], header_at)
+    columns, remarks = _columns(cells, vocabulary, header_at)
     first = header_index + 1
     table, line_numbers = _numbers(path, lines, first, columns, ends_with_newline)
-    remarks = []
     if not ends_with_newline and len(table):
         remarks.append(_check_last_line(path, lines, line_numbers, table, columns))
 
     time = np.empty(0)
     channels, units = {}, {}
     for column, values in zip(columns, table.T, strict=True):
+        if column.channel is None:
+            continue
         converted, unit = _in_si(values, column, header_at)
-        if column.name == "t":
+        if column.channel is _TIME:
             time = np.ascontiguousarray(converted)
         else:
-            channels[column.name] = np.ascontiguousarray(converted)
-            units[column.name] = unit
+            channels[column.channel.name] = np.ascontiguousarray(converted)
+            units[column.channel.name] = unit
     _check_time(path, time, line_numbers)
-    require_values(channels, header_at)
-    return Recording(time, channels, units, metadata, path, tuple(remarks))
+    require_values(channels, header_at, vocabulary)
+    return Recording(time, channels, units, metadata, path, tuple(remarks), vocabulary)
 
 
 def write_csv(recording: Recording, path: Path | str, *, force: bool = False) -> None:
@@ -80,7 +85,8 @@ def write_csv(recording: Recording, path: Path | str, *, force: bool = False) ->
         whole_file(Path(path), force=force) as temporary,
         temporary.open("w", encoding="utf-8", newline="") as file,
     ):
-        for key, value in recording.metadata.items():
+        declarations = recording.vocabulary.declarations(names)
+        for key, value in {**recording.metadata, **declarations}.items():
             file.write(f"# {_one_line(key).replace(':', ' ')}: {_one_line(value)}\n")
         file.write(",".join(header) + "\n")
         for row in zip(*(np.asarray(c, dtype=float).tolist() for c in columns), strict=True):
@@ -137,7 +143,7 @@ def _preamble(path: Path, lines: list[str]) -> tuple[dict[str, str], int]:
     )
 
 
-def _header(line: str, where: str) -> list[_Column]:
+def _header_cells(line: str, where: str) -> list[str]:
     if line.count(",") >= _MOST_COLUMNS:
         raise RecordingError(
             f"it has {line.count(',') + 1:,} columns",
@@ -158,9 +164,16 @@ def _header(line: str, where: str) -> list[_Column]:
             where=where,
             remedy=f"write the names and units above, as {_EXAMPLE}",
         )
+    return cells
+
+
+def _columns(
+    cells: list[str], vocabulary: Vocabulary, where: str
+) -> tuple[list[_Column], list[str]]:
+    """The columns, and what there is to say of them."""
     columns: list[_Column] = []
     for position, cell in enumerate(cells, start=1):
-        columns.append(_header_cell(cell, position, where))
+        columns.append(_header_cell(cell, position, vocabulary, where))
         earlier = [column.name for column in columns[:-1]]
         if columns[-1].name in earlier:
             raise RecordingError(
@@ -169,45 +182,54 @@ def _header(line: str, where: str) -> list[_Column]:
                 where=where,
                 remedy="keep one of them",
             )
-    require_channels([column.name for column in columns], where)
-    return columns
+    others = vocabulary.left_out([column.name for column in columns], where)
+    require_channels([c.channel.name for c in columns if c.channel], where, vocabulary)
+    return columns, [f"not used: {', '.join(others)}"] if others else []
 
 
-def _header_cell(cell: str, position: int, where: str) -> _Column:
+def _parts(cell: str) -> tuple[str, str | None]:
+    """Name and unit of a cell of the header."""
     match = _HEADER_CELL.match(cell)
-    name = match["name"].strip() if match else cell
+    return (match["name"].strip(), match["unit"].strip()) if match else (cell, None)
+
+
+def _header_cell(cell: str, position: int, vocabulary: Vocabulary, where: str) -> _Column:
+    name, unit = _parts(cell)
     if not cell:
         raise RecordingError(
             f"column {position} has no name",
             where=where,
             remedy="name it, or remove the comma too many",
         )
-    if name != "t" and find_channel(name) is None:
-        suggestion = nearest_name(name)
+    own = vocabulary.name_of(name)
+    channel = _TIME if own == "t" else vocabulary.find(own) if own else None
+    if own is None and (vocabulary.origin == "model" or name in vocabulary.columns):
+        return _Column(name, unit or "", None)
+    if channel is None:
+        suggestion = vocabulary.nearest(name)
         name_list = ", ".join(("t", *CHANNELS, "d_*"))
         raise RecordingError(
             f"column {position}: the name {name!r} is not known"
             + (f"; did you mean {suggestion!r}?" if suggestion else ""),
             where=where,
-            remedy=f"names are {name_list}",
+            remedy=f"names are {name_list}; of a rig with others the lines `# inputs: NAME, …` "
+            "and `# outputs: NAME, …` above the header tell which is which",
         )
-    if not match:
-        channel = _TIME if name == "t" else find_channel(name)
-        unit = channel.units[0] if channel and channel.units else "1"
+    if unit is None:
+        usual = channel.units[0] if channel.units else "1"
         raise RecordingError(
             f"column {position}: {cell!r} has no unit",
             where=where,
-            remedy=f"write {name}[{unit}], with the unit that the numbers are in",
+            remedy=f"write {name}[{usual}], with the unit that the numbers are in",
         )
-    column = _Column(name, match["unit"].strip())
+    column = _Column(name, unit, channel)
     _in_si(np.empty(0), column, where)  # a wrong unit is told before any wrong number
     return column
 
 
 def _in_si(values: np.ndarray, column: _Column, where: str) -> tuple[np.ndarray, str]:
-    channel = _TIME if column.name == "t" else find_channel(column.name)
-    allowed = channel.units if channel else ()
-    return to_si(values, column.unit, allowed, where=where, name=column.name)
+    assert column.channel is not None
+    return to_si(values, column.unit, column.channel.units, where=where, name=column.name)
 
 
 def _numbers(
@@ -248,14 +270,14 @@ def _numbers(
         number = line_numbers[row]
         for cell, column in zip(lines[number - 1].split(","), columns, strict=True):
             value = _number(path, number, cell, column)
-            if column.name == "t" and value != value:
+            if column.channel is _TIME and value != value:
                 _refuse(path, number, "the cell of 't' is empty", "every row needs its time")
     return table, line_numbers
 
 
 def _number(path: Path, line: int, cell: str, column: _Column) -> float:
     text = cell.strip().strip('"').strip()
-    if not text:
+    if not text or column.channel is None:
         return _MISSING
     prefix, empty = (
         f"column {column.name!r} holds",

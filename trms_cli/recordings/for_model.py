@@ -15,7 +15,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model, Signal, names
-from trms_cli.recordings.channels import CHANNELS, REFERENCE_OF_AXIS
+from trms_cli.recordings.channels import STANDARD, Vocabulary, reference_of
 from trms_cli.recordings.mcap_recording import sha256_of
 from trms_cli.recordings.preparation import Preparation
 from trms_cli.recordings.read import read_recording
@@ -72,6 +72,10 @@ class RecordedRun:
 class MeasuredChannels(Protocol):
     """Which channels are used, and their declared noise."""
 
+    @property
+    def channels(self) -> tuple[str, ...] | None:
+        """Those that are asked for; None: all."""
+
     def measured(self, available: tuple[str, ...]) -> tuple[str, ...]:
         """Those of the available channels that are used."""
 
@@ -86,6 +90,8 @@ class Selection:
     sensors: MeasuredChannels
     start: float | None = None  #: Part of the recording to take, s in its own time
     end: float | None = None  #: None for all
+    #: Name of a signal's column in the file, where it has another one
+    names: Mapping[str, str] = field(default_factory=dict)
     #: By input: what a recorded 1 is in the model's unit, where the units differ
     input_scale: Mapping[str, float] = field(default_factory=dict)
     command_delay: int = 0  #: Samples from a row's time until its command acts
@@ -111,7 +117,8 @@ class Selection:
         Raises RecordingError if it cannot be read or is not evenly sampled, or what is asked for
         cannot be done, and ConfigurationError if its channels or units are not those of the model.
         """
-        part = self.part_of(read_recording(Path(file).expanduser()))
+        vocabulary = Vocabulary.of(model, self.names, self.sensors.channels or ())
+        part = self.part_of(read_recording(Path(file).expanduser(), vocabulary))
         parts = [part] if preparation is None else preparation.apply(part)
         return [self.take(each, model) for each in parts]
 
@@ -140,9 +147,9 @@ class Selection:
         # some samples later, until which the first one acts
         acting = np.maximum(np.arange(len(commands)) - self.command_delay, 0)
         references = {
-            angle: gridded.channels[name]
-            for angle, name in REFERENCE_OF_AXIS.items()
-            if angle in model.controlled and name in gridded.channels
+            signal: gridded.channels[reference_of(signal)]
+            for signal in model.controlled
+            if reference_of(signal) in gridded.channels
         }
         return RecordedRun(
             gridded.sample_time,
@@ -186,8 +193,12 @@ class Selection:
                 f"the recording has no {_listed(missing)}; its inputs are "
                 f"{_listed(recording.names('input'))}",
                 where="plant.file",
-                remedy=f"model {model.name!r} needs {_listed(input_names)}; with one rotor at rest "
-                "choose a model of one axis, as model=newtonian_vertical",
+                remedy=f"model {model.name!r} needs {_listed(input_names)}; "
+                + (
+                    "with one rotor at rest choose a model of one axis, as model=newtonian_vertical"
+                    if STANDARD.knows(input_names)
+                    else "plant.names={SIGNAL: COLUMN} tells which columns they are"
+                ),
             )
         unknown = [name for name in self.input_scale if name not in input_names]
         if unknown:
@@ -204,6 +215,7 @@ class Selection:
         if differing:
             recorded, own = recording.units[differing[0].name], differing[0].unit
             other = {"1": "model=tras takes 1", "V": "model=newtonian takes V"}.get(recorded, "")
+            other = f" ({other})" if STANDARD.knows(input_names) else ""
             # A normalised record's full scale is likely the model's; volts, likely the TRAS's 24.
             scale = ", ".join(
                 f"{s.name}: {1 / 24 if own == '1' else model.input_limits[s.name]:.4g}"
@@ -214,7 +226,7 @@ class Selection:
                 f"{' (share of the full command)' if recorded == '1' else ''}, the model "
                 f"{model.name!r} takes [{own}]",
                 where="plant.file",
-                remedy=f"choose the model of that rig ({other}), or tell what a recorded "
+                remedy=f"choose the model of that rig{other}, or tell what a recorded "
                 f"1 is in {own}, as 'plant.input_scale={{{scale}}}'",
             )
         return model.inputs
@@ -271,13 +283,20 @@ def _happenings(
 
 def _left_out(recording: Recording, model: Model, channels: Sequence[str]) -> list[str]:
     """What of the recording the observer does not see."""
-    used = {*channels, *names(model.inputs), *REFERENCE_OF_AXIS.values()}
+    signals = {*channels, *names(model.inputs)}
+    used = {*signals, *recording.names("reference")}
     unused = [name for name in recording.channels if name not in used]
     absent = [name for name in names(model.outputs) if name not in channels]
     remarks = []
     if unused:
         remarks.append(f"not used: {', '.join(unused)}")
     if absent:
-        described = ", ".join(f"{name} ({CHANNELS[name].description})" for name in absent)
+        vocabulary = recording.vocabulary
+        described = ", ".join(
+            f"{name} ({channel.description})"
+            if (channel := vocabulary.find(name)) and channel.description
+            else name
+            for name in absent
+        )
         remarks.append(f"not measured: {described}")
     return remarks

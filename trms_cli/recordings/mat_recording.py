@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -30,7 +30,7 @@ import numpy as np
 
 from trms_cli.core.data_file import MEBIBYTE, largest, not_as_written, recorded_bytes, unreadable
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.channels import REFERENCE_OF_AXIS, find_channel, to_si
+from trms_cli.recordings.channels import CHANNELS, Vocabulary, reference_of, to_si
 from trms_cli.recordings.recording import Recording, require_channels, require_values
 
 if TYPE_CHECKING:
@@ -232,31 +232,37 @@ _TOPICS = ("measurement", "command", "reference", "disturbance")
 _REMEDY = "save('rec.mat', 't', 'u_v', 'u_h', 'alpha_v', 'alpha_h'), each a vector"
 
 
-def read_mat(path: Path | str) -> Recording:
-    """Read a MAT recording into SI units; NaN is a missing sample."""
+def read_mat(path: Path | str, vocabulary: Vocabulary | None = None) -> Recording:
+    """Read a MAT recording into SI units; NaN is a missing sample.
+
+    ``vocabulary``: of the model that it is read for; None: the file's own.
+    """
     path = Path(path)
     with not_as_written(str(path)):
-        return _recording(path, _variables(path))
+        return _recording(path, _variables(path), vocabulary)
 
 
-def _recording(path: Path, variables: dict[str, Any]) -> Recording:
+def _recording(path: Path, variables: dict[str, Any], vocabulary: Vocabulary | None) -> Recording:
     if "t" not in variables and isinstance(variables.get("measurement"), dict):
-        return _of_topics(path, variables)
+        return _of_topics(path, variables, vocabulary)
     units = variables.get("units", {})
     if not isinstance(units, dict):
         raise RecordingError("'units' is not a struct", where=str(path), remedy="units.t = 's'")
-    channel_names = [name for name in variables if name == "t" or find_channel(name) is not None]
-    require_channels(channel_names, str(path))
-    times, unit = _vector(path, "t", variables["t"]), str(units.get("t", "s"))
-    time, _ = to_si(times, unit, ("s",), where=str(path), name="t")
-    _check_time(path, time)
-    channels, si_units = _channels(path, variables, units, len(time), channel_names)
-    require_values(channels, str(path))
     metadata = {name: value for name, value in variables.items() if isinstance(value, str)}
-    used = {"t", "units", *channel_names, *metadata}
-    ignored = [name for name in variables if name not in used]
+    where, columns = str(path), [name for name in variables if name != "units"]
+    vocabulary = vocabulary or Vocabulary.declared(metadata, columns, where)
+    ignored = vocabulary.left_out(columns, where)
+    own = {str(vocabulary.name_of(name)): name for name in columns if name not in ignored}
+    require_channels(list(own), where, vocabulary)
+    time = _vector(path, own["t"], variables[own["t"]])
+    time, _ = to_si(time, str(units.get(own["t"], "s")), ("s",), where=where, name=own["t"])
+    _check_time(path, time, own["t"])
+    del own["t"]
+    channels, si_units = _channels(path, variables, units, len(time), own, vocabulary)
+    require_values(channels, where, vocabulary)
+    ignored = [name for name in ignored if name not in metadata]
     remarks = (f"variables not used: {', '.join(ignored)}",) if ignored else ()
-    return Recording(time, channels, si_units, metadata, path, remarks)
+    return Recording(time, channels, si_units, metadata, path, remarks, vocabulary)
 
 
 def _channels(
@@ -264,17 +270,17 @@ def _channels(
     struct: dict[str, Any],
     units: dict[str, Any],
     samples: int,
-    names: Iterable[str],
+    names: Mapping[str, str],
+    vocabulary: Vocabulary,
     topic: str = "",
 ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Vectors of a struct in SI, and their units, by name; ``samples``: as many as there are times.
 
-    ``topic``: the struct's name in an exported log, in which a reference has its angle's name.
+    ``names``: the struct's name of each. ``topic``: the struct's name in an exported log.
     """
     columns, si_units, dot = {}, {}, f"{topic}." if topic else ""
-    reference_names = REFERENCE_OF_AXIS if topic == "reference" else {}
-    for name in names:
-        channel = find_channel(reference_names.get(name, name))
+    for own, name in names.items():
+        channel = vocabulary.find(own)
         if channel is None:
             continue
         vector = _vector(path, f"{dot}{name}", struct[name])
@@ -286,13 +292,14 @@ def _channels(
                 remedy="give each channel a value per time, NaN where it is missing",
             )
         unit = str(units.get(name, channel.units[0] if channel.units else "1"))
-        columns[name], si_units[name] = to_si(
+        key = name if topic else own
+        columns[key], si_units[key] = to_si(
             vector, unit, channel.units, where=str(path), name=f"{dot}{name}"
         )
     return columns, si_units
 
 
-def _of_topics(path: Path, content: dict[str, Any]) -> Recording:
+def _of_topics(path: Path, content: dict[str, Any], vocabulary: Vocabulary | None) -> Recording:
     """Read the layout of ``trms export --format mat``."""
     # imported here: a log's reader is not needed for vectors
     from trms_cli.recordings.log_reader import LoggedRun
@@ -312,9 +319,9 @@ def _of_topics(path: Path, content: dict[str, Any]) -> Recording:
     log = LoggedRun(
         path, complete, metadata.get("outcome", "died"), tables, metadata, {}, {}, problems
     )
-    recording = recording_of(log)
-    require_channels(["t", *recording.channels], str(path))
-    require_values(recording.channels, str(path))
+    recording = recording_of(log, vocabulary)
+    require_channels(["t", *recording.channels], str(path), recording.vocabulary)
+    require_values(recording.channels, str(path), recording.vocabulary)
     return recording
 
 
@@ -332,7 +339,13 @@ def _table(path: Path, topic: str, struct: Any) -> TopicTable:
         raise RecordingError(f"'{topic}.units' is not a struct", where=str(path), remedy=_REMEDY)
     time = _vector(path, f"{topic}.time", struct["time"])
     _check_time(path, time, f"{topic}.time")
-    columns, si_units = _channels(path, struct, units, len(time), struct, topic)
+    names = {
+        reference_of(name) if topic == "reference" else name: name
+        for name, values in struct.items()
+        if name not in ("time", "units") and (name in CHANNELS or not isinstance(values, str))
+    }
+    own = Vocabulary.of_roles(dict.fromkeys(names, topic))
+    columns, si_units = _channels(path, struct, units, len(time), names, own, topic)
     # to the nanosecond, as logs have it
     return TopicTable(time, np.round(time * 1e9).astype(np.int64), columns, si_units)
 

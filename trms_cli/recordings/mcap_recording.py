@@ -6,30 +6,37 @@ from pathlib import Path
 import numpy as np
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.channels import AXIS_OF_REFERENCE, REFERENCE_OF_AXIS, find_channel
+from trms_cli.recordings.channels import Vocabulary, reference_of, signal_of, to_si
 from trms_cli.recordings.log_reader import LoggedRun, read_log
 from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.recording import Recording
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics
 
-_TOPICS = ("/measurement", "/command", "/reference", "/disturbance")
+#: Topics that are a recording, and the roles of their fields.
+_TOPICS = {
+    "/command": ("input",),
+    "/measurement": ("output", "current"),
+    "/reference": ("reference",),
+    "/disturbance": ("disturbance",),
+}
 _TIME_OFFSET = "time_offset_s"
 #: What a recording says about itself, apart from what trms says about the log.
 OWN_PREFIX = "recording."
 _BOOKKEEPING = frozenset({"schema", "end", "outcome", "last_time_s", _TIME_OFFSET})
 
 
-def read_mcap(path: Path | str) -> Recording:
+def read_mcap(path: Path | str, vocabulary: Vocabulary | None = None) -> Recording:
     """Read the recording that a run log holds; a log of a run that died as far as it goes."""
-    return recording_of(read_log(path, _TOPICS))
+    return recording_of(read_log(path, tuple(_TOPICS)), vocabulary)
 
 
-def recording_of(log: LoggedRun) -> Recording:
+def recording_of(log: LoggedRun, vocabulary: Vocabulary | None = None) -> Recording:
     """Join a log's topics on the times of /measurement.
 
     Commands, references and disturbances are held between their samples, as the rig does
-    (zero-order hold); they are missing before their first sample.
+    (zero-order hold); they are missing before their first sample. ``vocabulary``: of the model that
+    it is read for; None: topics tell what their fields are.
     """
     measurement, command = log.table("/measurement"), log.table("/command")
     if len(measurement) < 2 or not len(command):
@@ -38,21 +45,33 @@ def recording_of(log: LoggedRun) -> Recording:
             where=str(log.path),
             remedy="a recording needs two measurements or more; the run may have died at once",
         )
+    tables = {topic: log.tables[topic] for topic in _TOPICS if len(log.tables.get(topic, ()))}
+    roles = {
+        _channel_name(topic, key): _TOPICS[topic][0]
+        for topic, table in tables.items()
+        for key, column in table.columns.items()
+        if column.dtype == float
+    }
+    vocabulary = vocabulary or Vocabulary.of_roles(roles)
+    others = vocabulary.left_out([*roles, "t"], str(log.path))
     channels: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}
-    for topic in ("/command", "/measurement", "/reference", "/disturbance"):
-        table = log.tables.get(topic)
-        if table is None or not len(table):
-            continue
+    for topic, table in tables.items():
         for key, column in table.last_values(measurement.time_ns).items():
-            name = REFERENCE_OF_AXIS.get(key, key) if topic == "/reference" else key
-            if find_channel(name) is not None:
-                channels[name], units[name] = column, table.units[key]
+            column_name, unit = _channel_name(topic, key), table.units[key]
+            name = vocabulary.name_of(column_name) if column_name in roles else None
+            channel = vocabulary.find(name) if name else None
+            if name and channel:
+                if vocabulary.origin == "model":
+                    column, unit = to_si(column, unit, channel.units, where=str(log.path), name=key)
+                channels[name], units[name] = column, unit
     # Sum in nanoseconds: decimal times then come back as they were written.
     offset_ns = round(float(log.run.get(_TIME_OFFSET, 0.0)) * 1e9)
     time = (measurement.time_ns - offset_ns) / 1e9
-    remarks = tuple(f"the log is incomplete: {problem}" for problem in log.problems)
-    return Recording(time, channels, units, _own_metadata(log.run), log.path, remarks)
+    remarks = [f"the log is incomplete: {problem}" for problem in log.problems]
+    remarks += [f"not used: {', '.join(others)}"] if others else []
+    metadata = _own_metadata(log.run)
+    return Recording(time, channels, units, metadata, log.path, tuple(remarks), vocabulary)
 
 
 def write_mcap(
@@ -117,23 +136,23 @@ def sha256_of(path: Path) -> str:
 
 
 def _topics(recording: Recording) -> list[Topic]:
-    def fields(*roles: str) -> list[Field]:
+    def fields(topic: str) -> list[Field]:
         result = []
         for name in recording.channels:
-            channel = find_channel(name)
-            if channel is not None and channel.role in roles:
-                unit = recording.units[name]
-                result.append(Field(AXIS_OF_REFERENCE.get(name, name), unit, channel.description))
+            channel = recording.vocabulary.find(name)
+            if channel is not None and channel.role in _TOPICS[topic]:
+                own = signal_of(name) if topic == "/reference" else name
+                result.append(Field(own, recording.units[name], channel.description))
         return result
 
     return standard_topics(
-        references=fields("reference"),
-        inputs=fields("input"),
-        outputs=fields("output", "current"),
-        disturbances=fields("disturbance"),
+        references=fields("/reference"),
+        inputs=fields("/command"),
+        outputs=fields("/measurement"),
+        disturbances=fields("/disturbance"),
         controller=False,
     )
 
 
 def _channel_name(topic: str, field: str) -> str:
-    return REFERENCE_OF_AXIS.get(field, field) if topic == "/reference" else field
+    return reference_of(field) if topic == "/reference" else field

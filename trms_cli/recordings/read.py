@@ -3,11 +3,15 @@
 from pathlib import Path
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.recordings.channels import Vocabulary
 from trms_cli.recordings.recording import Recording
 
 
-def read_recording(path: Path | str) -> Recording:
+def read_recording(path: Path | str, vocabulary: Vocabulary | None = None) -> Recording:
     """Read a recording, from CSV, MAT or a run log.
+
+    ``vocabulary``: of the model that it is read for; None: the standard one, or what the file tells
+    of its names.
 
     Raises RecordingError with the line of a CSV that is wrong, what was found there, and what to
     do.
@@ -19,15 +23,15 @@ def read_recording(path: Path | str) -> Recording:
     if suffix in (".csv", ".txt"):
         from trms_cli.recordings.csv_recording import read_csv
 
-        return read_csv(path)
+        return read_csv(path, vocabulary)
     if suffix == ".mat":
         from trms_cli.recordings.mat_recording import read_mat
 
-        return read_mat(path)
+        return read_mat(path, vocabulary)
     if suffix == ".mcap":
         from trms_cli.recordings.mcap_recording import read_mcap
 
-        return read_mcap(path)
+        return read_mcap(path, vocabulary)
     raise RecordingError(
         f"the ending {suffix!r} tells no format of recordings",
         where=str(path),

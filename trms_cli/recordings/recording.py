@@ -7,7 +7,7 @@ filter that took them for whole samples would misread every rate.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.channels import find_channel
+from trms_cli.recordings.channels import STANDARD, Vocabulary
 
 #: A step longer than this many sample times is a gap: at least one sample is not there.
 GAP_FACTOR = 1.5
@@ -42,6 +42,7 @@ class Recording:
     metadata: dict[str, str] = field(default_factory=dict)  #: What the file says about itself
     source: Path = Path()  #: Where it was read from
     remarks: tuple[str, ...] = ()  #: What the reader found worth telling
+    vocabulary: Vocabulary = STANDARD  #: What its channels are
 
     def __len__(self) -> int:
         return len(self.time)
@@ -84,7 +85,7 @@ class Recording:
 
     def names(self, role: str) -> list[str]:
         """Names of the channels of a role, as "input" or "output", in the file's order."""
-        return names_of_role(self.channels, role)
+        return self.vocabulary.of_role(self.channels, role)
 
     @property
     def held_channels(self) -> set[str]:
@@ -170,18 +171,16 @@ def quantum(values: np.ndarray) -> float | None:
     return step if float(np.max(off_grid)) < 0.25 * step else None
 
 
-def names_of_role(names: Iterable[str], role: str) -> list[str]:
-    """Those of some channels that have a role."""
-    return [n for n in names if (c := find_channel(n)) is not None and c.role == role]
-
-
-def require_channels(names: Sequence[str], where: str) -> None:
+def require_channels(names: Sequence[str], where: str, vocabulary: Vocabulary) -> None:
     """Raise when a file lacks the time, an input or an output among its names."""
-    roles = {channel.role for name in names if (channel := find_channel(name))}
+    inputs, outputs = (
+        f"at least one of {', '.join(vocabulary.of_role(vocabulary.channels, role))}"
+        for role in ("input", "output")
+    )
     for there, what, remedy in (
         ("t" in names, "time, the column t[s]", "every recording needs one"),
-        ("input" in roles, "an input", "at least one of u_v, u_h is needed"),
-        ("output" in roles, "an output", "at least one of alpha_v, alpha_h, omega_v, omega_h"),
+        (vocabulary.of_role(names, "input"), "an input", f"{inputs} is needed"),
+        (vocabulary.of_role(names, "output"), "an output", outputs),
     ):
         if not there:
             raise RecordingError(
@@ -191,10 +190,10 @@ def require_channels(names: Sequence[str], where: str) -> None:
             )
 
 
-def require_values(channels: Mapping[str, np.ndarray], where: str) -> None:
+def require_values(channels: Mapping[str, np.ndarray], where: str, vocabulary: Vocabulary) -> None:
     """Raise when no input, or no output, has a single value."""
     for role in ("input", "output"):
-        mine = names_of_role(channels, role)
+        mine = vocabulary.of_role(channels, role)
         if all(np.isnan(channels[name]).all() for name in mine):
             raise RecordingError(
                 f"no {role} has a single value: {', '.join(mine)} are empty throughout",

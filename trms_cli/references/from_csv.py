@@ -59,18 +59,21 @@ class FromCsv:
 
 
 def read_columns(path: Path, column: str) -> tuple[Array, Array]:
-    """Time and one column of a CSV file, in SI units: an angle, or a command by its name.
+    """Time and one column of a CSV file, in SI units: an angle, a command, or of another rig any.
 
     Returns the times, (n,) s and strictly rising, and the values, (n,) rad, or V or 1 for a
-    command. Raises RecordingError if the file cannot be read, has no such column, an unknown unit,
-    or a cell that is not a finite number; it names the file and the line.
+    command, or what the unit of another rig's converts to. Raises RecordingError if the file cannot
+    be read, has no such column, an unknown unit, or a cell that is not a finite number; it names
+    the file and the line.
     """
-    from trms_cli.recordings.channels import find_channel, to_si
+    from trms_cli.recordings.channels import STANDARD, to_si
 
-    channel = find_channel(column)
-    is_command = channel is not None and channel.role == "input"
-    fitting = channel.units if channel is not None and is_command else ("rad",)
-    example = f"t[s],{column}[{fitting[0]}]"
+    channel = STANDARD.find(column)
+    fitting: tuple[str, ...] = () if channel is None else ("rad",)
+    if channel is not None and channel.role == "input":
+        fitting = channel.units
+    usual = (*fitting, "rad")[0]
+    example = f"t[s],{column}[{usual}]"
     if not path.exists():
         raise RecordingError(
             f"there is no file {str(path)!r}",
@@ -94,7 +97,7 @@ def read_columns(path: Path, column: str) -> tuple[Array, Array]:
             where=str(path),
             remedy=f"write a header like {example} and rows of numbers below it",
         )
-    units = dict(_name_and_unit(cell, where, fitting[0]) for cell in header)
+    units = dict(_name_and_unit(cell, where, usual) for cell in header)
     names = list(units)
     for name in ("t", column):
         if name not in units:

@@ -37,11 +37,11 @@ from trms_cli.effects.extended_model import extend_model
 from trms_cli.gap.diagnosis import Cause, DiagnosisResult
 from trms_cli.gap.problem import GapProblem, applicable_candidates
 from trms_cli.gap.shrinkage import measure_shrinkage
-from trms_cli.identification.data import noise_estimate
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model, index_of, names
 from trms_cli.models.parameters import Parameter
 from trms_cli.models.rest import resting_state
+from trms_cli.plants.sensors import noise_estimate
 from trms_cli.simulation.rollout import Rollout
 
 #: s, of a training recording, and what is left out at its beginning.
