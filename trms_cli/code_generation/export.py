@@ -30,6 +30,7 @@ from trms_cli.models.model import names
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import RecursiveFilter
 from trms_cli.references.trajectory import ReferenceTrajectory
+from trms_cli.simulation.preparation import reference_of
 
 #: N m, of the torques that stand for a filter's: no two are equal, as in a real loop.
 _TORQUE_SD = 1e-4
@@ -47,7 +48,7 @@ def example_rows(
     model, period = setup.model, setup.sample_time
     preview = controller.preview(setup)
     times = np.arange(samples + preview, dtype=np.float64) * period
-    references = reference.restricted_to(model.controlled).sample(times)
+    references = reference_of(model, reference).sample(times)
     substeps = 1 if model.sample_time else max(1, int(np.ceil(period / _LONGEST_SUBSTEP)))
     discrete = discretise(model, period, substeps)
     step, p = BufferedFunction(discrete.step), model.parameters.values

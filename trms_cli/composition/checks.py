@@ -21,6 +21,7 @@ from typing import Any
 from trms_cli.composition.catalogue import Groups, Primary, read_yaml
 from trms_cli.composition.laws import EFFECTS, chosen_nodes
 from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse, quote_value
+from trms_cli.composition.own_names import as_own_signal, takes_own_names
 from trms_cli.composition.plain_values import value_at
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import TARGET, nearest, require_known
@@ -55,7 +56,7 @@ def prepare(request: ComposeRequest, primary: Primary, groups: Groups) -> list[s
                 "folder of a run is out=FOLDER",
             )
         if override.package:
-            placed = _placed_choice(override, primary, groups)
+            placed = as_own_signal(_placed_choice(override, primary, groups), keys)
             if (placed.key, placed.package[1:]) in keys.places():
                 # `+signal@ref.alpha_v=sine` is meant without the plus: the place is there
                 placed = placed._replace(prefix=placed.prefix.lstrip("+"))
@@ -266,7 +267,7 @@ def prepared_value(override: Override, keys: DeclaredKeys, multirun: bool) -> Ov
         # A group of several options is empty too, while none is chosen; it is not open.
         least = 2 if parts[0] in keys.declared.defaults else 1
         places = (".".join(parts[:n]) for n in range(len(parts), least - 1, -1))
-        if any(keys.value(place) == {} for place in places):
+        if any(keys.value(place) == {} for place in places) or takes_own_names(keys, override.key):
             override = override._replace(prefix="++")
     value = override.value
     if parts[-1] in PATH_KEYS and value and not multirun and _needs_quotes(value):

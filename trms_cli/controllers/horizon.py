@@ -22,8 +22,8 @@ A linear model (:mod:`trms_cli.controllers.linear_mpc`) has such a cost without 
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Annotated
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Self
 
 import casadi as ca
 import numpy as np
@@ -38,6 +38,7 @@ from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.model import Model, names
+from trms_cli.models.state_scales import bench_ratios
 
 #: Arguments of both compiled functions: initial state with memory, plan, last command, parameters,
 #: disturbances, references, steady-state target; then what stays the same during a run: weights of
@@ -50,6 +51,10 @@ ARGUMENTS = (
 
 #: Further ones of a horizon that has a cost of its end: ξ's origin, the cost's root L, and √α.
 REGION_ARGUMENTS = ("centre", "root", "radius")
+
+#: Usual weights of an error and its rate (1 and s², by the square of its scale) and of a move, for
+#: a model with signals of its own.
+_ERROR, _RATE, _MOVE = 1.0, 0.5, 0.0125
 
 #: Added under the root of ‖L ξ_N‖², whose slope would else be no number at the centre.
 _SMOOTH = 1e-20
@@ -75,7 +80,8 @@ class HorizonSettings:
     forecast_horizon: Annotated[int, Meta(ge=0)] = 15
     #: ``state_weights``, ``rate_weights``, ``input_weights``, ``move_weights``: See
     #: :class:`Weights`. For the Newton MPC each controlled state gets that of its typical size
-    #: where none has a weight (the speed of a rotor alone).
+    #: where none has a weight (the speed of a rotor alone); a model with signals of its own gets
+    #: them by its scales, where none of them has one
     state_weights: Mapping[str, NotNegative] = field(
         default_factory=lambda: {"alpha_v": 1.2, "alpha_h": 1.0}
     )
@@ -104,6 +110,30 @@ class HorizonSettings:
                 where="preview_horizon",
                 remedy=f"at most the prediction horizon, {self.prediction_horizon}",
             )
+
+    def for_model(self, model: Model) -> Self:
+        """The settings with weights by the scales of a model, where those given name another's.
+
+        Prices of soft limits are then of a share of the limited states' scale.
+        """
+        if model.bench_sizes:
+            return self
+        ratios, controlled = bench_ratios(model), model.controlled
+        errors = ratios.states[[model.state_index(name) for name in controlled]] ** -2.0
+        usual = {
+            "state_weights": (controlled, _ERROR * errors),
+            "rate_weights": (controlled, _RATE * ratios.time**2 * errors),
+            "move_weights": (names(model.inputs), _MOVE * ratios.inputs**-2.0),
+        }
+        changes: dict[str, Any] = {
+            key: {**getattr(self, key), **dict(zip(signals, weights.tolist(), strict=True))}
+            for key, (signals, weights) in usual.items()
+            if getattr(self, key) and not any(name in getattr(self, key) for name in signals)
+        }
+        limited = [model.state_index(n) for n in self.soft_limits if n in model.state_names]
+        unit = float(ratios.states[limited].min(initial=np.inf)) if limited else 1.0
+        linear, quadratic = self.soft_linear / unit, self.soft_quadratic / unit**2
+        return replace(self, **changes, soft_linear=linear, soft_quadratic=quadratic)
 
     @property
     def forecast_periods(self) -> int:

@@ -133,6 +133,7 @@ class LinearProblem(NewtonProblem):
 
     def __init__(self, config: LinearMpc, setup: ControlSetup) -> None:
         model = setup.model
+        config = config.for_model(model)
         positive = {name: q for name, q in config.state_weights.items() if q > 0}
         if not any(name in positive for name in model.controlled):
             raise ConfigurationError(

@@ -39,6 +39,7 @@ from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discretisation import DiscreteModel
 from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
 from trms_cli.models.model import names
+from trms_cli.models.state_scales import bench_ratios
 from trms_cli.models.steady_state import SteadyState, Target
 
 
@@ -127,13 +128,16 @@ class Lqr(PresentReference):
         A[:n, :n], A[n:, :n] = linear.A, T * linear.C
         B = np.vstack([linear.B, np.zeros((n_r, n_u))])
         rates = (linear.C @ linear.A - linear.C) / T
-        outputs = in_order(self.output_weights, model.controlled, 100.0, "output_weights")
-        smooth = in_order(self.rate_weights, model.controlled, 30.0, "rate_weights")
-        integrals = in_order(self.integral_weights, model.controlled, 20.0, "integral_weights")
+        ratios = bench_ratios(model)
+        errors = ratios.states[[model.state_index(name) for name in model.controlled]] ** -2.0
+        usual = 100.0 * errors, 30.0 * ratios.time**2 * errors, 20.0 * ratios.time**-2 * errors
+        outputs = in_order(self.output_weights, model.controlled, usual[0], "output_weights")
+        smooth = in_order(self.rate_weights, model.controlled, usual[1], "rate_weights")
+        integrals = in_order(self.integral_weights, model.controlled, usual[2], "integral_weights")
         Q = np.zeros((n + n_r, n + n_r))
         Q[:n, :n] = linear.C.T * outputs @ linear.C + rates.T * smooth @ rates
         Q[n:, n:] = np.diag(integrals)
-        r = in_order(self.input_weights, names(model.inputs), 1.0, "input_weights")
+        r = in_order(self.input_weights, names(model.inputs), ratios.inputs**-2.0, "input_weights")
         try:
             P = solve_discrete_are(A, B, T * Q, T * np.diag(r))
         except (np.linalg.LinAlgError, ValueError) as error:
@@ -202,9 +206,9 @@ def _memory_function(discrete: DiscreteModel) -> BufferedFunction:
 
 
 def in_order(
-    weights: Mapping[str, float], names: tuple[str, ...], default: float, key: str
+    weights: Mapping[str, float], names: tuple[str, ...], default: float | FloatArray, key: str
 ) -> FloatArray:
-    """Weights in the order of ``names``, shape (len(names),).
+    """Weights in the order of ``names``, shape (len(names),), those not given by ``default``.
 
     Names of an axis that this model lacks are passed over, so that one configuration also serves
     the models of one axis.
@@ -217,4 +221,5 @@ def in_order(
         if name not in everywhere:
             words = f"{name!r} is not a name that a weight can have here"
             require_known(name, names, words, f"controller.{key}")
-    return np.array([weights.get(name, default) for name in names])
+    usual = np.broadcast_to(default, len(names))
+    return np.array([weights.get(name, value) for name, value in zip(names, usual, strict=True)])

@@ -17,7 +17,7 @@ a compiler the same runs in NumPy (:mod:`trms_cli.controllers.newton.state`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 from msgspec import Meta
@@ -31,6 +31,8 @@ from trms_cli.controllers.newton.state import NewtonMpcState
 from trms_cli.controllers.newton.terminals import STATES
 from trms_cli.controllers.qp.riccati import Riccati
 from trms_cli.core.qp import QpSolver
+from trms_cli.models.model import Model
+from trms_cli.models.state_scales import bench_ratios
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +71,11 @@ class NewtonMpc(HorizonSettings):
     #: What solves the quadratic programs: ``riccati`` is the compiled engine's own; any other runs
     #: the iteration in NumPy
     qp: QpSolver = field(default_factory=Riccati)
+
+    def for_model(self, model: Model) -> NewtonMpc:
+        """As :meth:`HorizonSettings.for_model`, with the tolerance by the scales of the inputs."""
+        ratio = float(bench_ratios(model).inputs.min())
+        return replace(super().for_model(model), tolerance=self.tolerance * ratio)
 
     def problem(self, setup: ControlSetup) -> NewtonProblem:
         """What it poses for a model.

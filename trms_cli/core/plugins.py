@@ -170,17 +170,19 @@ def construct(kind: Callable[..., _T], keys: Mapping[str, Any], where: str = "")
 
 
 def _checked_arguments(target: Any, arguments: Mapping[str, Any], where: str) -> dict[str, Any]:
+    signature = inspect.signature(target).parameters
     parameters = {
         name: parameter
-        for name, parameter in inspect.signature(target).parameters.items()
+        for name, parameter in signature.items()
         if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
     }
+    takes_more = any(parameter.kind == parameter.VAR_KEYWORD for parameter in signature.values())
     annotated = target
     if inspect.isclass(target) and not dataclasses.is_dataclass(target):
         annotated = target.__init__
     hints = typing.get_type_hints(annotated, include_extras=True)
     for key in arguments:
-        if key not in parameters:
+        if key not in parameters and not takes_more:
             raise ConfigurationError(
                 f"unknown key {key!r} (given: {arguments[key]!r})",
                 where=_join(where, str(key)),

@@ -62,14 +62,19 @@ class Linearisation:
 
         Raises ConfigurationError for a name that is no angle, or if the rig cannot rest there.
 
-        ``angles``: rad, by controlled angle; 0 where none is given. Angles of an axis that this
-        model does not have are ignored. ``where``: configuration key of ``angles``, for messages.
+        ``angles``: rad, by controlled angle; where none is given 0, or of a model with signals of
+        its own as at rest. Angles of an axis that this model does not have are ignored. ``where``:
+        configuration key of ``angles``, for messages.
         """
         model, discrete = self.model, self._discrete
         angle_names = {"alpha_v", "alpha_h", *model.controlled}
         for name in angles:
             require_known(name, angle_names, f"{name!r} is not a controlled angle", where)
-        reference = np.array([angles.get(name, 0.0) for name in model.controlled])
+        rest = np.zeros(model.n_x) if model.bench_sizes else model.rest()
+        rows = [model.state_index(name) for name in model.controlled]
+        reference = np.array(
+            [angles.get(n, rest[row]) for n, row in zip(model.controlled, rows, strict=True)]
+        )
         target = self._steady.solve(reference)
         if not target.exact:
             goal, reached = (

@@ -37,8 +37,10 @@ from trms_cli.simulation.history import History, Writer
 from trms_cli.simulation.pace import Clock, LatePolicy, Pace, WallClock, undisturbed
 from trms_cli.simulation.preparation import (
     check_finite,
+    check_period,
     check_reach,
     farthest_command,
+    reference_of,
     rehearse,
 )
 from trms_cli.simulation.rig_life import Confirm, RigLanded, RigLife, check_reading, check_run
@@ -214,9 +216,10 @@ class Loop:
         # Sampled once, as far as the last preview reaches.
         length = e.samples + preview * ratio + e.has_delay
         times = np.arange(length, dtype=np.float64) * e.sample_time
-        references = e.reference.restricted_to(e.model.controlled).sample(times)
+        references = reference_of(e.model, e.reference).sample(times)
         check_finite(references, times, e.model.controlled)
         check_reach(e, references)
+        check_period(e)
         envelope = envelope_of(e.plant).init(
             EnvelopeSetup(e.sample_time, inputs, outputs, e.model.stops)
         )

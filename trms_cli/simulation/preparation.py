@@ -12,9 +12,11 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.invocation import note
 from trms_cli.models.model import Model
+from trms_cli.models.state_scales import state_scales
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.plants.envelope import beyond_reach, envelope_of
+from trms_cli.references.trajectory import ReferenceTrajectory
 
 if TYPE_CHECKING:
     from trms_cli.simulation.closed_loop import Experiment
@@ -28,12 +30,21 @@ _LEVELS = 50
 #: Share of a level by which the nearest steady state misses it before that is worth a word, and
 #: the least, rad (rad/s for a rotor on a bench)
 _SHORT, _LEAST_SHORT = 0.02, 0.005
+#: Control periods by a model's time constant: longer ones get a word, and what to try.
+_PERIODS = 0.5, 0.25
 
 
 def farthest_command(model: Model) -> float:
     """How far any command is from any other, V; something large where there are no limits."""
     lower, upper = model.input_bounds()
     return float(min(np.max(upper - lower, initial=0.0), 2 * _FARTHEST))
+
+
+def reference_of(model: Model, reference: ReferenceTrajectory) -> ReferenceTrajectory:
+    """The reference of what a model controls; one of a user's own may know only of names."""
+    if hasattr(reference, "for_model"):
+        return reference.for_model(model)
+    return reference.restricted_to(model.controlled)
 
 
 def check_reach(experiment: Experiment, references: FloatArray) -> None:
@@ -55,6 +66,20 @@ def check_reach(experiment: Experiment, references: FloatArray) -> None:
         )
     for sentence in sentences or _beyond_thrust(model, references, experiment.sample_time):
         note(f"note   {sentence}")
+
+
+def check_period(experiment: Experiment) -> None:
+    """Remark a control period that is long beside the time constants of a model of a user's."""
+    model, step = experiment.model, experiment.sample_time
+    if model.bench_sizes or model.sample_time is not None:
+        return
+    time, period = state_scales(model).time, experiment.samples_per_control * step
+    better = max(1, int(_PERIODS[1] * time / step)) * step
+    if period > _PERIODS[0] * time and better < period:
+        note(
+            f"note   a control period of {period:g} s is long beside the time constants of "
+            f"{model.name}, {time:.2g} s: try controller.sample_time={better:g}"
+        )
 
 
 def _beyond_thrust(model: Model, references: FloatArray, sample_time: float) -> list[str]:

@@ -22,6 +22,7 @@ from trms_cli.core.c_source import SettingField
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.models.discretisation import DiscreteModel, discretise
 from trms_cli.models.model import Model, names
+from trms_cli.models.state_scales import state_scales
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.vector_field import holds_at_rest
 
@@ -55,6 +56,7 @@ class NewtonProblem:
 
     def __init__(self, config: NewtonMpc, setup: ControlSetup) -> None:
         model = setup.model
+        config = config.for_model(model)
         self.discrete = discretise(model, setup.sample_time, config.integration_steps)
         sizes = typical_sizes(self.discrete)
         weights = _tracking(model, config.state_weights, sizes)
@@ -114,6 +116,8 @@ def typical_sizes(discrete: DiscreteModel) -> FloatArray:
     terminal price serve angles (rad) and rotor speeds (hundreds of rad/s) alike.
     """
     model = discrete.model
+    if not model.bench_sizes:  # which may be unstable: a pendulum turns round in that time
+        return state_scales(model).states.copy()
     step = BufferedFunction(discrete.step)
     sizes = np.full(model.n_x, 1e-3)
     lower, upper = model.input_bounds()

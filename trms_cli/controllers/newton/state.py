@@ -97,7 +97,7 @@ class NewtonMpcState:
     def __init__(self, config: NewtonMpc | LinearMpc, setup: ControlSetup) -> None:
         problem = config.problem(setup)
         model = problem.model
-        self.config, self.model, self.problem = config, model, problem
+        self.config, self.model, self.problem = problem.config, model, problem
         self.discrete, self.steady_state = problem.discrete, problem.steady_state
         self._memory = list(model.path_memory)
 
