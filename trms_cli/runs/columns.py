@@ -3,11 +3,11 @@
 Figures of a channel or an input are named ``<figure>_<channel>``: ``rmse_alpha_h``,
 ``effort_u_v``. Those of the twin rotor's two angles and two inputs are columns of the database;
 those of other channels, and the errors of estimates, are kept beside them by the same rule and
-can be asked for in the same way.
+can be asked for in the same way, with the units that such channels have.
 """
 
 import difflib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -157,6 +157,32 @@ def figures_of(score: Mapping[str, Any]) -> dict[str, float | None]:
         largest = max(finite_values, default=None)
         values[figure.column_name] = figures.total(own) if figure.total == "sum" else largest
     return values
+
+
+def units_of(score: Mapping[str, Any]) -> dict[str, str]:
+    """Units of figures of channels and inputs that the twin rotor does not have, and of totals."""
+    units: dict[str, str] = {}
+    for entry in figures.entries(score, "channels", "inputs"):
+        stem, name = entry.figure.column_name, f"{entry.figure.column_name}_{entry.of}"
+        if name not in COLUMNS:
+            units[name] = entry.unit
+            if entry.figure.total:
+                units[stem] = entry.unit if units.get(stem, entry.unit) == entry.unit else ""
+    return units
+
+
+def expanded(names: Iterable[str], extra: Iterable[str]) -> list[str]:
+    """Columns with ``*`` for all, and ``rmse_*`` for those of other channels than the twin rotor's.
+
+    ``extra``: names that some runs have beside the columns.
+    """
+    stems = tuple(f"{figure.column_name}_" for figure in figures.of_group("channels", "inputs"))
+    others = [name for name in extra if name.startswith(stems)]
+    result: list[str] = []
+    for name in names:
+        within = [n for n in others if n.startswith(name[:-1])] if name.endswith("*") else [name]
+        result += [*COLUMNS, *within] if name == "*" else within
+    return list(dict.fromkeys(result))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
 from trms_cli.core.wording import named_files, typed_models
 from trms_cli.recordings.log_head import LogHead, read_log_head
-from trms_cli.runs.columns import COLUMNS, figures_of
+from trms_cli.runs.columns import COLUMNS, figures_of, units_of
 
 #: The file of a run in its folder; a run is called by that folder.
 LOG_NAME = "run.mcap"
@@ -35,6 +35,7 @@ class IndexEntry:
     typed: dict[str, Any] = field(default_factory=dict)
     #: Figures of other channels than the twin rotor's, and errors of estimates
     more: dict[str, float] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)  #: Of those, and of totals over them
 
 
 def read_entry(path: Path) -> IndexEntry | None:
@@ -92,7 +93,8 @@ def _entry(head: LogHead) -> IndexEntry:
         "choices": json.dumps(choices, ensure_ascii=False),
     }
     more = {k: float(v) for k, v in figures.items() if k not in COLUMNS and v is not None}
-    return IndexEntry(str(path), cells(values), typed_overrides(overrides), more)
+    typed = typed_overrides(overrides)
+    return IndexEntry(str(path), cells(values), typed, more, units_of(score))
 
 
 def choices_of_run(choices: Mapping[str, Any]) -> dict[str, str | None]:

@@ -30,7 +30,7 @@ _LOGS = (
 _RUNS = (
     "CREATE TABLE IF NOT EXISTS runs ("
     + ", ".join(f'"{column.name}" {_TYPES[column.kind]}' for column in COLUMNS.values())
-    + ", typed TEXT, more TEXT, PRIMARY KEY (log))"
+    + ", typed TEXT, more TEXT, units TEXT, PRIMARY KEY (log))"
 )
 #: Changes with the columns, and with what is put into them.
 _CONTENT = 3
@@ -145,7 +145,7 @@ class RunIndex:
 
     def put(self, readings: Sequence[LogReading]) -> None:
         """Write what was found out of logs, in place of what was known of them."""
-        names = [*COLUMNS, "typed", "more"]
+        names = [*COLUMNS, "typed", "more", "units"]
         columns = ", ".join(f'"{name}"' for name in names)
         marks = ", ".join("?" * len(names))
         statement = f"INSERT OR REPLACE INTO runs ({columns}) VALUES ({marks})"
@@ -181,6 +181,24 @@ class RunIndex:
             "SELECT DISTINCT j.key FROM runs, json_each(runs.more) AS j ORDER BY j.key"
         )
         return [name for (name,) in rows]
+
+    def units(self, condition: Sql) -> dict[str, str]:
+        """Units of figures, where they are not those of the columns; "" where they differ.
+
+        A column of all rigs has another unit where every run that has a figure in it does.
+        """
+        rows = self._connection.execute(
+            "SELECT j.key, j.value, count(*) FROM"
+            f" (SELECT units FROM runs WHERE {condition.text}) AS r, json_each(r.units) AS j"
+            " GROUP BY j.key, j.value",
+            condition.values,
+        ).fetchall()
+        units: dict[str, str] = {}
+        for name, unit, count in rows:
+            own = Sql(f'"{name}" IS NOT NULL AND {condition.text}', condition.values)
+            whole = name not in COLUMNS or count == self.count(own)
+            units[name] = unit if whole and name not in units else ""
+        return units
 
     def count(self, condition: Sql) -> int:
         """The number of runs for which a condition holds.
@@ -274,5 +292,6 @@ def scope_sql(roots: Sequence[str] | None) -> Sql:
 
 
 def _row(entry: IndexEntry) -> list[Any]:
-    texts = [json.dumps(part, ensure_ascii=False) for part in (entry.typed, entry.more)]
+    parts = (entry.typed, entry.more, entry.units)
+    texts = [json.dumps(part, ensure_ascii=False) for part in parts]
     return [entry.values.get(name) for name in COLUMNS] + texts

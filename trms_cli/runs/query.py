@@ -10,13 +10,13 @@ import contextlib
 import os
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.recordings.log_head import read_log_head
-from trms_cli.runs.columns import COLUMNS, IndexColumn, Sql, column_sql, nearest
+from trms_cli.runs.columns import IndexColumn, Sql, column_sql, expanded, nearest
 from trms_cli.runs.entry import LOG_NAME, STATUS_NAME, read_entry, read_status
 from trms_cli.runs.filter import translate_filter
 from trms_cli.runs.index import FileStamp, LogReading, RunIndex, is_damage, remove, scope_sql
@@ -41,7 +41,8 @@ class Query:
     everywhere: bool = False  #: Every run that this host knows of, instead
     sort: str = "time"  #: A column
     descending: bool = True  #: Largest, or latest, first
-    columns: tuple[str, ...] = ()  #: Empty: all
+    #: Empty: all, as by "*"; "rmse_*" for those of other channels than the twin rotor's
+    columns: tuple[str, ...] = ()
     limit: int | None = None  #: Runs at most
     rebuild: bool = False  #: Read every log again
 
@@ -88,6 +89,8 @@ def _find(question: Query, tell: Tell) -> QueryResult:
     # What is misspelt is told before logs are read.
     translate_filter(question.filter, None)
     for name in (*question.columns, question.sort):
+        if name.endswith("*"):
+            continue
         _column(name, None, "--sort" if name == question.sort else "--columns")
     roots = None if question.everywhere else [_folder(folder) for folder in question.folders]
     bounded = roots == []
@@ -105,15 +108,20 @@ def _find(question: Query, tell: Tell) -> QueryResult:
         condition = translate_filter(question.filter, more)
         within = Sql(f"({condition.text}) AND {scope.text}", condition.values + scope.values)
         columns = {
-            name: _column(name, more, "--columns") for name in question.columns or tuple(COLUMNS)
+            name: _column(name, more, "--columns")
+            for name in expanded(question.columns or ("*",), more)
         }
+        units = index.units(within)
         _, order = _column(question.sort, more, "--sort")
         runs = index.select(
             columns, within, order, descending=question.descending, limit=question.limit
         )
         return QueryResult(
             runs=runs,
-            columns={name: column for name, (column, _) in columns.items()},
+            columns={
+                name: replace(column, unit=units.get(column.name, column.unit))
+                for name, (column, _) in columns.items()
+            },
             matching=index.count(within),
             of=index.count(scope),
             folders=tuple(roots or ()),

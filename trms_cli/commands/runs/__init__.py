@@ -95,7 +95,6 @@ def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
     arguments = _parse_arguments(argv)
     from trms_cli.reporting.progress import ReadingProgress
-    from trms_cli.runs.columns import COLUMNS
     from trms_cli.runs.filter import names_in
     from trms_cli.runs.query import Query, find
 
@@ -103,7 +102,7 @@ def main(argv: list[str]) -> int:
     extra, requested_columns = _parse_columns(arguments.columns)
     usual = extra or not requested_columns
     if requested_columns == ["all"]:
-        requested_columns = list(COLUMNS)
+        requested_columns = ["*"]
     mentioned_columns = [
         *requested_columns,
         *([arguments.sort] if arguments.sort else []),
@@ -117,9 +116,7 @@ def main(argv: list[str]) -> int:
 
         columns = tuple(dict.fromkeys([*USUAL, *mentioned_columns, OVERRIDES]))
     else:
-        columns = tuple(
-            dict.fromkeys([*COLUMNS, *requested_columns] if usual else requested_columns)
-        )
+        columns = tuple(dict.fromkeys(["*", *requested_columns] if usual else requested_columns))
     question = Query(
         filter=arguments.filter,
         folders=tuple(arguments.folders),

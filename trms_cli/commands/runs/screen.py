@@ -32,6 +32,7 @@ USUAL = (
     "outcome",
     "rmse_alpha_v",
     "rmse_alpha_h",
+    "rmse_*",
     "total_variation",
     "solve_p99",
     "failures",

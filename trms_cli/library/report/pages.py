@@ -170,14 +170,14 @@ def _score(row: Mapping[str, Any]) -> dict[str, Any]:
     def of(group: Any, name: str) -> dict[str, Any]:
         return {f.key: row.get(f"{f.column_name}_{name}") for f in of_group(group)}
 
-    channels = {
-        n: of("channels", n) for n in ("alpha_v", "alpha_h") if row.get(f"rmse_{n}") is not None
-    }
-    inputs = {n: of("inputs", n) for n in ("u_v", "u_h") if row.get(f"effort_{n}") is not None}
+    def names(stem: str) -> list[str]:
+        there = (name for name, value in row.items() if value is not None)
+        return [name.removeprefix(stem) for name in there if name.startswith(stem)]
+
     return {
         "duration_s": row.get("duration"),
-        "channels": channels,
-        "inputs": inputs,
+        "channels": {name: of("channels", name) for name in names("rmse_")},
+        "inputs": {name: of("inputs", name) for name in names("effort_")},
         "solver": {
             "time_ms": {key: row.get(f"solve_{key}") for key in ("median", "p99", "max")},
             "failures": row.get("failures"),

@@ -6,7 +6,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,13 +46,18 @@ _NO_KEYS = frozenset({"out", "picture", "sim.prediction_every"})
 _MODEL_FILE = "model.path"
 
 
-def _page_figures() -> list[str]:
-    """Figures of a page, those that say most first, by the names of ``trms runs``."""
+def _page_figures(extra: Iterable[str] = ()) -> list[str]:
+    """Figures of a page, those that say most first, by the names of ``trms runs``.
+
+    ``extra``: what there is of other channels than the twin rotor's.
+    """
+    from trms_cli.runs.columns import expanded
     from trms_cli.scoring.figures import of_group
 
     short = [f for f in of_group("channels") if f.short]
     names = [f.column_name for f in short[:1]]
     names += [f"{f.column_name}_{axis}" for f in short for axis in ("yaw", "pitch")]
+    names += expanded((f"{f.column_name}_*" for f in short), extra)
     names += [f.column_name for f in of_group("inputs") if f.total]
     names += [f.column_name for f in of_group("solver") if f.key != "objective_total"]
     names += [f.column_name for f in of_group("run")]
@@ -88,7 +93,7 @@ def read_sweep(folders: Sequence[Path], result: QueryResult, page_folder: Path) 
     by = _entrant_keys(others)
     named = summary.short_names(draw_keys, others)
     root = _root(rows, folders)
-    figures, total = _figures(rows, objectives), plan.get("total")
+    figures, total = _figures(result, objectives), plan.get("total")
     runs = [
         _swept(row, values, keys, by, figures, named, root, page_folder)
         for row, values in zip(rows, typed, strict=True)
@@ -113,14 +118,19 @@ def read_sweep(folders: Sequence[Path], result: QueryResult, page_folder: Path) 
 def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> SweepReport:
     """Runs of which there are scores alone, without a log."""
     from trms_cli.reporting.sweep_report import SweepReport, SweepRun
-    from trms_cli.runs.columns import ALIASES, COLUMNS, figures_of
+    from trms_cli.runs.columns import ALIASES, COLUMNS, figures_of, units_of
     from trms_cli.scoring.comparison.ranking import controller_name, usual_entrants
     from trms_cli.scoring.comparison.runs import differing_coordinates
 
     scored_runs = list(gathered.runs)
     keys = differing_coordinates(scored_runs)[:_MOST_KEYS]
     by = usual_entrants(keys)
-    units = {name: COLUMNS[ALIASES.get(name, name)].unit for name in _page_figures()}
+    others = {n: unit for run in scored_runs for n, unit in units_of(run.score or {}).items()}
+    page_figures = _page_figures(name for name in others if name not in COLUMNS)
+    units = {
+        name: others[name] if name in others else COLUMNS[ALIASES.get(name, name)].unit
+        for name in page_figures
+    }
     root = folders[0].resolve() if len(folders) == 1 else Path.cwd()
     runs = []
     for run in scored_runs:
@@ -166,16 +176,17 @@ def sweep_document(folder: Path) -> Mapping[str, Any]:
     return document if str(document.get("schema", "")).startswith(_SWEEP_SCHEMA) else {}
 
 
-def _figures(rows: Sequence[Mapping[str, Any]], objectives: Sequence[Objective]) -> dict[str, str]:
+def _figures(result: QueryResult, objectives: Sequence[Objective]) -> dict[str, str]:
     """Figures that some run has, with their units."""
     from trms_cli.runs.columns import ALIASES, COLUMNS
 
-    figure_names = dict.fromkeys([*(o.figure for o in objectives), *_page_figures()])
+    others = [name for name in result.columns if name not in COLUMNS]
+    figure_names = dict.fromkeys([*(o.figure for o in objectives), *_page_figures(others)])
     units = {}
     for name in figure_names:
         column = ALIASES.get(name, name)
-        if any(row.get(column) is not None for row in rows):
-            units[name] = COLUMNS[column].unit if column in COLUMNS else ""
+        if any(row.get(column) is not None for row in result.runs):
+            units[name] = result.columns[column].unit if column in result.columns else ""
     return units
 
 

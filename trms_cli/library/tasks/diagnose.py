@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from msgspec import Meta
 
-from trms_cli.composition.catalogue import config_folder, read_groups, read_yaml
+from trms_cli.composition.catalogue import read_groups, read_yaml
 from trms_cli.composition.composer import Composition
 from trms_cli.composition.laws import at_own_port, generated_nodes
 from trms_cli.composition.plain_values import model_of_choice
@@ -473,14 +473,13 @@ def corrected_words(diagnosis: DiagnosisResult) -> str:
 
 
 def model_origin(composition: Composition, request: DiagnosisRequest) -> ModelOrigin:
-    """What the models' files say besides values; a model of one's own goes in as a plugin."""
+    """What the models' files say besides values; what they have no place for, as a plugin."""
     try:
         return origin_of(composition) or ModelOrigin(option="")
     except ConfigurationError:
         effects = composition.config.get("effect") or {}
         node = dict(composition.config["model"])
-        if (config_folder() / "model" / f"{composition.choices['model']}.yaml").is_file():
-            node.pop("parameters", None)  # they stand in the file
+        node.pop("parameters", None)  # they stand in the file
         return ModelOrigin(
             option=node, effects={name: effect_arguments(name, n) for name, n in effects.items()}
         )

@@ -44,6 +44,8 @@ def write_config(composition: Composition, folder: Path) -> None:
 def origin_of(composition: Composition) -> ModelOrigin | None:
     """What the fitted model's file says besides values; None where the method writes its own.
 
+    A model that is no option of the library goes in as a plugin.
+
     Raises ConfigurationError if a model file has no place for something that the model was given.
     """
     node = composition.config["model"]
@@ -55,6 +57,8 @@ def origin_of(composition: Composition) -> ModelOrigin | None:
             option=content.model, limits=content.limits, effects=dict(content.effects) | own
         )
     option = str(composition.choices["model"])
+    if not (config_folder() / "model" / f"{option}.yaml").is_file():
+        return ModelOrigin(option=dict(node), effects=own)
     _check_places(option, node)
     name = node.get("parameter_set")
     limits = dict(parameter_file(name).limits) if isinstance(name, str) else {}
@@ -81,14 +85,7 @@ def effect_arguments(name: str, node: Mapping[str, Any]) -> dict[str, Any]:
 
 def _check_places(option: str, node: Mapping[str, Any]) -> None:
     """Refuse what a model file could not say: `load_model` builds the option as it is."""
-    file = config_folder() / "model" / f"{option}.yaml"
-    if not file.is_file():
-        raise ConfigurationError(
-            f"a model file names a model of the library, and {option!r} is none",
-            where="model",
-            remedy="fit a model of the library with effects, or use the method from Python",
-        )
-    library_node = read_yaml(file)
+    library_node = read_yaml(config_folder() / "model" / f"{option}.yaml")
     for key, value in node.items():
         if key not in _OF_THE_FILE and library_node.get(key) != value:
             raise ConfigurationError(
