@@ -10,7 +10,8 @@ as the states, and belongs to z.
 
 Noise and prior ignorance are tables by kind of state. A kind (an angle, a rotor's speed, a torque
 on an axis) is read off the model's structure, so that one table serves every model; see
-:mod:`trms_cli.models.state_kinds`.
+:mod:`trms_cli.models.state_kinds`. The numbers are of small benches with two rotors; those of a
+model of a user's are these in the proportion of its scales (:mod:`trms_cli.models.state_scales`).
 """
 
 import copy
@@ -30,9 +31,11 @@ from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.discretisation import DiscreteModel, discretise, noise_of_states
 from trms_cli.models.dry_friction import turning_rate
-from trms_cli.models.model import Model, names
+from trms_cli.models.model import Model, Signal, names
 from trms_cli.models.rest import resting_state
+from trms_cli.models.scales import BENCH
 from trms_cli.models.state_kinds import kinds_of_disturbances, kinds_of_states
+from trms_cli.models.state_scales import state_scales
 from trms_cli.models.vector_field import holds_at_rest, without_impulses
 from trms_cli.observers.observer import ObserverSetup
 
@@ -40,6 +43,13 @@ from trms_cli.observers.observer import ObserverSetup
 _LONGEST_SUBSTEP = 0.02
 #: Friction stops an axis that a torque moves by less than this share of its free response.
 _STOPPED = 0.01
+#: What is large of each kind on a small bench; 1 where nothing stands here.
+_BENCH_SCALES = {
+    "momentum": BENCH.travel / BENCH.time,  # rad/s
+    "rotor": 200.0,  # rad/s
+    "disturbance": BENCH.force,
+    "rotor_disturbance": BENCH.force / 10,
+}
 #: Standard deviations never fall below this part of the initial ones.
 _FLOOR = 1e-9
 
@@ -89,9 +99,13 @@ class InitialSd(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 def by_state(
-    table: ProcessNoise | InitialSd, kinds: tuple[str, ...], augmented: tuple[str, ...], key: str
+    table: ProcessNoise | InitialSd,
+    kinds: tuple[str, ...],
+    augmented: tuple[str, ...],
+    key: str,
+    ratios: FloatArray | float = 1.0,
 ) -> FloatArray:
-    """A table's value for each state: by name where given, else by kind.
+    """A table's value for each state: by name where given, else by kind, times a ratio.
 
     ``kinds``, ``augmented``: kind and name of each state of the filter, disturbances included.
     ``key``: where names are given in the observer's configuration, for messages. Raises
@@ -101,8 +115,10 @@ def by_state(
         require_known(name, augmented, f"the filter has no state {name!r}", f"observer.{key}")
     return np.array(
         [
-            table.states.get(name, getattr(table, kind))
-            for name, kind in zip(augmented, kinds, strict=True)
+            table.states.get(name, ratio * getattr(table, kind))
+            for name, kind, ratio in zip(
+                augmented, kinds, np.broadcast_to(ratios, len(kinds)), strict=True
+            )
         ]
     )
 
@@ -264,11 +280,13 @@ def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
         *(pushes[i] for i in equations),
     )
     noise_sd = np.hypot(_noise_sd(setup, options.measurement_noise), rounding_sd[channels])
-    sd = by_state(options.initial_sd, kinds, augmented, "initial_sd.states")
+    ratios, time_ratio = _ratios(model, kinds, sensor_states, equations)
+    sd = by_state(options.initial_sd, kinds, augmented, "initial_sd.states", ratios)
     for i, channel in _read_at_first(setup):
         # What is remembered of a channel starts from its first, noisy reading.
         sd[i] = np.hypot(sd[i], noise_sd[channel])
-    intensity = by_state(options.process_noise, kinds, augmented, "process_noise.states")
+    ratios /= np.sqrt(time_ratio)
+    intensity = by_state(options.process_noise, kinds, augmented, "process_noise.states", ratios)
     driven = noise_of_states(model, model.parameters.values, setup.sample_time)
     for row in np.flatnonzero(driven):
         if augmented[row] not in options.process_noise.states:
@@ -292,6 +310,23 @@ def augment(setup: ObserverSetup, options: FilterOptions) -> Augmentation:
         r=noise_sd**2,
         floor=floor,
     )
+
+
+def _ratios(
+    model: Model, kinds: tuple[str, ...], sensors: tuple[Signal, ...], equations: list[int]
+) -> tuple[FloatArray, float]:
+    """Scale of each state of a filter over that of its kind on a small bench, and that of time."""
+    if model.bench_sizes or model.sample_time is not None:
+        return np.ones(len(kinds)), 1.0
+    scales = state_scales(model)
+    by_unit = {
+        signal.unit: scales.states[model.state_names.index(signal.name)]
+        for signal in model.outputs
+        if signal.name in model.state_names
+    }
+    remembered = [by_unit.get(signal.unit, 1.0) for signal in sensors]
+    own = np.concatenate([scales.states, remembered, scales.disturbances[equations]])
+    return own / [_BENCH_SCALES.get(kind, 1.0) for kind in kinds], scales.time / BENCH.time
 
 
 def _without_rounding(model: Model) -> tuple[Model, FloatArray]:
