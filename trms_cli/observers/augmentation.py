@@ -11,7 +11,8 @@ as the states, and belongs to z.
 Noise and prior ignorance are tables by kind of state. A kind (an angle, a rotor's speed, a torque
 on an axis) is read off the model's structure, so that one table serves every model; see
 :mod:`trms_cli.models.state_kinds`. The numbers are of small benches with two rotors; those of a
-model of a user's are these in the proportion of its scales (:mod:`trms_cli.models.state_scales`).
+model of a user's are these in the proportion of its scales (:mod:`trms_cli.models.state_scales`),
+where they have not been changed.
 """
 
 import copy
@@ -105,22 +106,21 @@ def by_state(
     key: str,
     ratios: FloatArray | float = 1.0,
 ) -> FloatArray:
-    """A table's value for each state: by name where given, else by kind, times a ratio.
+    """A table's value for each state: by name where given, else by kind.
 
+    ``ratios``: by which the usual value of a kind is multiplied; a changed one is as it is.
     ``kinds``, ``augmented``: kind and name of each state of the filter, disturbances included.
     ``key``: where names are given in the observer's configuration, for messages. Raises
     ConfigurationError for a name that the filter does not have.
     """
     for name in table.states:
         require_known(name, augmented, f"the filter has no state {name!r}", f"observer.{key}")
-    return np.array(
-        [
-            table.states.get(name, ratio * getattr(table, kind))
-            for name, kind, ratio in zip(
-                augmented, kinds, np.broadcast_to(ratios, len(kinds)), strict=True
-            )
-        ]
-    )
+    usual = type(table)()
+    values = [
+        getattr(table, kind) * (ratio if getattr(table, kind) == getattr(usual, kind) else 1.0)
+        for kind, ratio in zip(kinds, np.broadcast_to(ratios, len(kinds)), strict=True)
+    ]
+    return np.array([table.states.get(n, v) for n, v in zip(augmented, values, strict=True)])
 
 
 @dataclass(frozen=True, kw_only=True)
