@@ -143,6 +143,9 @@ class Pid(PresentReference):
     #: :mod:`trms_cli.controllers.pid_tuning`.
     pitch: Literal["auto"] | Gains = "auto"
     yaw: Literal["auto"] | Gains = "auto"
+    #: Gains of axes of other names, in their units of force and travel; those of the others are
+    #: tuned
+    loops: Mapping[str, Gains] = field(default_factory=dict)
     #: Controlled angles at which the model is linearised for tuning and for the inverse that is fed
     #: forward, rad. Yaw must need thrust there: the tail rotor has no slope where it stands still.
     operating_points: tuple[Mapping[str, float], ...] = (
@@ -177,13 +180,16 @@ class Pid(PresentReference):
                 where="operating_points",
                 remedy="give at least one, as [{alpha_v: 0.0, alpha_h: 0.5}]",
             )
-        for name in self.smoothness:
-            require_known(name, ROTOR_OF_AXIS, f"{name!r} is not an axis", "smoothness")
 
     def init(self, setup: ControlSetup) -> PidState:
         model, T = setup.model, setup.sample_time
+        for key, entries in (("smoothness", self.smoothness), ("loops", self.loops)):
+            for name in entries:
+                if name not in ROTOR_OF_AXIS:
+                    known = model.axes or ROTOR_OF_AXIS
+                    require_known(name, known, f"{name!r} is not an axis", f"controller.{key}")
         designs = PidDesign(
-            requested_gains={"pitch": self.pitch, "yaw": self.yaw},
+            requested_gains={"pitch": self.pitch, "yaw": self.yaw, **self.loops},
             operating_points=self.operating_points,
             max_sensitivity=self.max_sensitivity,
             smoothness=self.smoothness,

@@ -9,12 +9,15 @@ Of a model with a path memory (a cable's hysteresis) there are two linear ones a
 the memory as it is, which for small motions is a spring, and with it constant, as it is where the
 axis has gone far one way. The bound on the sensitivity holds in both, and the cost is the sum over
 both; what is fed forward is for far ways.
+
+What is searched suits rigs that are as slow as small benches with two rotors. Another model is
+designed for in a time of its own, in which it is as slow as they are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -49,6 +52,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.process_cache import call_memoised
 from trms_cli.models.linearisation import Linearisation, LinearModel, require_drivable
 from trms_cli.models.model import Model, names
+from trms_cli.models.state_scales import bench_ratios, state_scales
 from trms_cli.models.steady_state import SteadyState
 
 #: A, B and C of the rig at one operating point, its inputs torques.
@@ -56,6 +60,10 @@ _System = tuple[FloatArray, FloatArray, FloatArray]
 
 #: ρ where none is given, s.
 _SMOOTHNESS = 3.0
+#: Growth at which inputs are paired with axes, by a model's time constant.
+_PAIRED = 0.1
+#: Part by which a mode of an unstable rig grows in a period.
+_UNSTABLE = 1e-3
 #: Part by which a mode may grow in a period before a loop counts as unstable: an axis that nothing
 #: pulls back has modes at 1, which rounding moves by its square root.
 _GROWTH = 1e-6
@@ -110,28 +118,49 @@ class PidDesign:
                 where="controller",
                 remedy="choose newton_mpc or lqr",
             )
-        channels = {name: holding_input(model, name) for name in model.axes}
+        speed = 1 / bench_ratios(model).time
+        designs = self._in_time(speed)._designed(model, step, step * speed)
+        return {name: _in_seconds(design, speed) for name, design in designs.items()}
+
+    def _in_time(self, speed: float) -> PidDesign:
+        """What is asked for, in a time that runs so much faster."""
+        gains = {
+            name: Gains(g.kp, g.ki / speed, g.kd * speed) if isinstance(g, Gains) else g
+            for name, g in self.requested_gains.items()
+        }
+        return replace(
+            self,
+            requested_gains=gains,
+            smoothness={name: rho * speed for name, rho in self.smoothness.items()},
+            derivative_filter=self.derivative_filter * speed,
+            lead_filter=self.lead_filter * speed,
+        )
+
+    def _designed(self, model: Model, period: float, step: float) -> dict[str, AxisDesign]:
+        """The design for a control period (s) that is a step of the time of the design."""
+        channels = loops_of(model, period)
         steady = SteadyState(model)
         tables = rotor_tables(model, channels, steady)
         constant = model.path_memory
-        points = self._points(model, step, steady)
+        points = self._points(model, period, steady)
         as_they_are = [_driven_by_torques(point, channels, tables) for point in points]
         systems = [_without_states(system, constant) for system in as_they_are]
         # Beside them, where the loops have to be robust as well.
         springy = as_they_are if constant else []
         free = systems
         prompt: list[_System] | None = None
-        if model.memory(step):
+        if model.memory(period):
             immediate = without_input_memory(model)
-            points = self._points(immediate, step, SteadyState(immediate))
+            points = self._points(immediate, period, SteadyState(immediate))
             prompt = [
                 _without_states(_driven_by_torques(point, channels, tables), constant)
                 for point in points
             ]
         omega = np.exp(1j * INVERTED * step)
         designs: dict[str, AxisDesign] = {}
-        for name, axis in model.axes.items():
-            channel, row = channels[name], model.controlled.index(axis.angle)
+        for name, channel in channels.items():
+            axis = model.axes[name]
+            row = model.controlled.index(axis.angle)
             plants = [AxisPlant(A, B[:, channel], C[row], step) for A, B, C in systems + springy]
             responses = _responses(systems, channel, row, step)
             polynomial = inverse(responses, INVERTED)
@@ -148,7 +177,7 @@ class PidDesign:
             lag = rotor_lag(polynomial)
             if prompt is not None:
                 lag = rotor_lag(inverse(_responses(prompt, channel, row, step), INVERTED))
-            gains = self._gains(name, plants, filters)
+            gains = self._gains(model, name, plants, filters)
             designs[name] = AxisDesign(
                 angle=axis.angle,
                 channel=channel,
@@ -169,8 +198,8 @@ class PidDesign:
             springy = _with_loop(springy, channel, row, step, gains, filters)
             if prompt is not None:
                 prompt = _with_loop(prompt, channel, row, step, gains, filters)
-            following = list(model.axes)[len(designs) :]
-            if any(self.requested_gains[other] == "auto" for other in following):
+            following = list(channels)[len(designs) :]
+            if any(self._is_tuned(other) for other in following):
                 self._require_stable(name, systems)
         return designs
 
@@ -194,10 +223,12 @@ class PidDesign:
     def _points(self, model: Model, step: float, steady: SteadyState) -> list[LinearModel]:
         linearisation = Linearisation(model, step, steady)
         points = []
-        for i, angles in enumerate(self.operating_points):
+        # of a model that none of them names they are all the same, at rest
+        named = any(name in point for point in self.operating_points for name in model.controlled)
+        for i, angles in enumerate(self.operating_points if named else self.operating_points[:1]):
             where = f"controller.operating_points[{i}]"
             points.append(linearisation.at(angles, where))
-            if any(self.requested_gains[name] == "auto" for name in model.axes):
+            if any(map(self._is_tuned, model.axes)):
                 require_drivable(points[-1], where, model.path_memory)
         return points
 
@@ -206,17 +237,28 @@ class PidDesign:
             return Filters(self.derivative_filter, lag, self.lead_filter)
         return Filters(self.derivative_filter)
 
-    def _gains(self, name: str, plants: Sequence[AxisPlant], filters: Filters) -> Gains:
-        gains = self.requested_gains[name]
+    def _is_tuned(self, axis: str) -> bool:
+        return not isinstance(self.requested_gains.get(axis), Gains)
+
+    def _gains(
+        self, model: Model, name: str, plants: Sequence[AxisPlant], filters: Filters
+    ) -> Gains:
+        gains = self.requested_gains.get(name)
         if isinstance(gains, Gains):
             return gains
-        return tune_gains(
-            plants,
-            filters,
-            self.max_sensitivity,
-            self.smoothness.get(name, _SMOOTHNESS),
-            f"controller.{name}",
-        )
+        smoothness, where = self.smoothness.get(name, _SMOOTHNESS), f"controller.{name}"
+        try:
+            return tune_gains(plants, filters, self.max_sensitivity, smoothness, where)
+        except ConfigurationError as error:
+            unstable = max(float(np.abs(np.linalg.eigvals(plant.A)).max()) for plant in plants)
+            if unstable < 1 + _UNSTABLE:
+                raise
+            raise ConfigurationError(
+                f"{model.name} is unstable at rest, and no PID law from {model.axes[name].angle} "
+                "alone holds it: what falls is another state",
+                where="controller",
+                remedy="choose one that sees all states: lqr, linear_mpc, nmpc or newton_mpc",
+            ) from error
 
     def _require_stable(self, name: str, systems: Sequence[_System]) -> None:
         """Refuse given gains with which another axis cannot be tuned."""
@@ -267,6 +309,63 @@ def _responses(
     """Of an angle to a torque asked for, rad/(N m), at the frequencies that are inverted."""
     z = np.exp(1j * INVERTED * step)
     return [AxisPlant(A, B[:, channel], C[row], step).response(z) for A, B, C in systems]
+
+
+def _in_seconds(design: AxisDesign, speed: float) -> AxisDesign:
+    """A design in a time that runs so much faster, in seconds."""
+    gains, filters = design.gains, design.filters
+    powers = [speed**i for i in range(len(design.inverse))]
+    return replace(
+        design,
+        gains=Gains(gains.kp, gains.ki * speed, gains.kd / speed),
+        filters=Filters(
+            filters.derivative / speed, filters.lead / speed, filters.lead_filter / speed
+        ),
+        margins=replace(design.margins, crossover=design.margins.crossover * speed),
+        inverse=tuple(c / power for c, power in zip(design.inverse, powers, strict=True)),
+        forward=tuple(c / power for c, power in zip(design.forward, powers, strict=True)),
+        coupling=tuple(d / speed for d in design.coupling),
+        rotor_lag=design.rotor_lag / speed,
+    )
+
+
+def loops_of(model: Model, step: float) -> dict[str, int]:
+    """Position of the input that holds each axis whose angle or position is controlled.
+
+    That of its rotor; of a model without rotors the pairing of the largest gains, each as a share
+    of what the input and the axis can. ``step``: control period, s.
+
+    Raises ConfigurationError for more axes than inputs, and for what is controlled and no axis.
+    """
+    if model.rotors:
+        return {name: holding_input(model, name) for name in model.axes}
+    axes = {axis.angle: name for name, axis in model.axes.items()}
+    for name in model.controlled:
+        if name not in axes:
+            raise ConfigurationError(
+                f"{name} is controlled, which is the angle or position of no axis of {model.name}",
+                where="controller",
+                remedy="choose lqr, linear_mpc, nmpc or newton_mpc",
+            )
+    if len(model.controlled) > model.n_u:
+        raise ConfigurationError(
+            f"{model.name} has {model.n_u} inputs for {len(model.controlled)} controlled axes, "
+            "and pid has one input for each",
+            where="controller",
+            remedy="choose lqr, linear_mpc, nmpc or newton_mpc",
+        )
+    if model.n_u == 1:
+        return {axes[model.controlled[0]]: 0}
+    from scipy.optimize import linear_sum_assignment
+
+    linear = Linearisation(model, step, SteadyState(model)).at({}, "controller.operating_points")
+    scales = state_scales(model)
+    z = np.exp(_PAIRED * step / scales.time)
+    gain = linear.C @ np.linalg.solve(z * np.eye(len(linear.A)) - linear.A, linear.B)
+    travels = scales.states[[model.state_index(name) for name in model.controlled]]
+    shares = np.abs(gain) * scales.inputs / travels[:, None]
+    rows, columns = linear_sum_assignment(-np.log(shares + np.finfo(float).tiny))
+    return {axes[model.controlled[r]]: int(c) for r, c in zip(rows, columns, strict=True)}
 
 
 def holding_input(model: Model, axis: str) -> int:
