@@ -82,7 +82,7 @@ def _lead(document: Mapping[str, Any]) -> Iterator[str]:
     length = document["windows"]["length_s"]
     if words:
         yield (
-            f"Alone over windows of up to {length:g} s, on {data}, the model foretells "
+            f"Alone over windows of up to {length:.3g} s, on {data}, the model foretells "
             f"{', '.join(words)} RMS."
         )
     if network := document["details"].get("network"):

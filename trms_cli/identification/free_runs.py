@@ -28,6 +28,7 @@ from trms_cli.identification.validation.metrics import fit_percent, largest, rms
 from trms_cli.models.discrete import copied_states, root_of
 from trms_cli.models.discretisation import noise_of_states
 from trms_cli.models.model import Model, index_of, names
+from trms_cli.models.scales import longest_run
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.observers.augmentation import InitialSd
 from trms_cli.simulation.rollout import Rollout
@@ -256,7 +257,7 @@ def window_runs(
     for dataset in datasets:
         step = dataset.sample_time
         rollout = rollouts.setdefault(step, Rollout(model, step, jobs=jobs))
-        history = max(2, round(HISTORY / step))
+        history = max(2, round(min(HISTORY, longest_run(model)) / step))
         if len(dataset) < 2 * history:
             continue
         first, count = dataset.part(history, len(dataset)).windows(length)

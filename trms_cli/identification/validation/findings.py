@@ -373,7 +373,7 @@ def _method(document: Document, models: Mapping[str, Document]) -> report.Sectio
     omissions = document["left_out_horizons_s"]
     if omissions:
         listed = ", ".join(f"{horizon:g} s" for horizon in omissions)
-        items.append(f"Horizons that do not fit the recording: {listed}.")
+        items.append(f"Horizons that do not fit the recording, or an unstable model: {listed}.")
     return report.Section(
         "How it was made", (), [report.Remarks(items, on_screen=False)], folded=True
     )

@@ -47,6 +47,7 @@ from trms_cli.identification.free_runs import (
 from trms_cli.identification.validation import metrics
 from trms_cli.identification.validation.residual_tests import ResidualTests, residual_tests
 from trms_cli.models.model import Model, Signal, names
+from trms_cli.models.scales import longest_run
 from trms_cli.models.state_kinds import kinds_of_states
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.recursive_filter import INPUTS
@@ -293,11 +294,13 @@ class FreeRuns:
 
 
 def common_windows(
-    dataset: Dataset, options: ValidationOptions, lead: int
+    dataset: Dataset, options: ValidationOptions, lead: int, longest: float
 ) -> dict[float, IntArray]:
     """First samples of the windows of every horizon that fits.
 
-    ``lead``: samples that are needed before a window. Raises ConfigurationError if no horizon fits.
+    ``lead``: samples that are needed before a window. ``longest``: s, after which a free run of a
+    model that falls over says nothing; the shortest horizon stays. Raises ConfigurationError if no
+    horizon fits.
     """
     step = dataset.sample_time
     stride = max(1, round(options.windows.stride / step))
@@ -305,7 +308,8 @@ def common_windows(
     for horizon in options.horizons:
         last = len(dataset) - samples_of(horizon, step)
         first = np.arange(lead, last + 1, stride, dtype=np.int64)
-        if first.size and horizon >= 0.5 * step:
+        says_something = horizon <= longest or horizon == options.horizons[0]
+        if first.size and horizon >= 0.5 * step and says_something:
             first_samples[horizon] = first
     if not first_samples:
         minimum = lead * step + options.horizons[0]
@@ -526,6 +530,7 @@ def validate_all(
         max(lead_samples([models[name]], datasets[name][i], options) for name in models)
         for i in range(len(recordings))
     ]
+    longest = min(longest_run(model) for model in models.values())
     validations = []
     for name, model in models.items():
         own = tuple(datasets[name])
@@ -539,7 +544,7 @@ def validate_all(
             factors = step.noise_factors or None
             steps.append(step)
             tell(f"{name}: free runs on {dataset.name}")
-            windows = common_windows(dataset, options, lead)
+            windows = common_windows(dataset, options, lead, longest)
             runs.append(free_runs(model, dataset, rollout, step, windows, options))
         tell(f"{name}: residual tests")
         tests = tests_of(model, own, steps, options)

@@ -40,6 +40,7 @@ from trms_cli.library.tasks.control_advice import control_commands
 from trms_cli.library.tasks.subject import driven_model, driven_recordings, model_of, several
 from trms_cli.library.tasks.task import Done, Listener
 from trms_cli.models.model import Model, names
+from trms_cli.models.scales import longest_run
 
 #: Keys of the configuration that are plugins of their own.
 _GROUPS = ("model", "effect", "method", "data", "experiment")
@@ -53,7 +54,7 @@ _FEWEST_SAMPLES = 20
 class WindowKeys:
     """``windows``."""
 
-    length: _Positive = 10.0  #: s
+    length: _Positive = 10.0  #: s, at most: shorter for a model that falls over
     stride: _Positive | None = None  #: s
 
 
@@ -139,7 +140,7 @@ def identification_of(composition: Composition) -> Identification:
         datasets=fitted,
         validation=held_out,
         free=free,
-        window_length=options.windows.length,
+        window_length=min(options.windows.length, longest_run(simulated)),
         window_stride=options.windows.stride,
         robust=options.robust,
         discrepancy=options.discrepancy,
