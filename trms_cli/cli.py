@@ -60,7 +60,7 @@ TRY = """\
 """
 
 OPTIONS = """\
-  -h, --help     this page, or a command's own: trms COMMAND --help
+  -h, --help     this page, or a command's own: trms COMMAND --help (--help-all: all of it)
   --version      the version
   --debug        after any command: show the traceback of an error
 """
@@ -112,8 +112,8 @@ def _dispatch(arguments: list[str]) -> int:
         from trms_cli.composition.catalogue import take_allowed
 
         rest = take_allowed(rest)  # here alone: words that a log or a file holds allow nothing
-    if "--help" in rest or "-h" in rest:
-        sys.stdout.write(help_text(module))
+    if any(text in rest for text in ("--help", "-h", "--help-all")):
+        sys.stdout.write(help_text(module, everything="--help-all" in rest))
         return EXIT_OK
     return int(module.main(rest))
 
@@ -135,17 +135,39 @@ def load_command(name: str) -> ModuleType:
     return importlib.import_module(f"trms_cli.commands.{module}{'_' if clashes else ''}")
 
 
-def help_text(module: ModuleType) -> str:
-    """The help page of a command; one that composes an experiment ends in what can be chosen."""
+#: Examples of a command that composes, on the first page of its help.
+_FEW_EXAMPLES = 5
+
+
+def help_text(module: ModuleType, *, everything: bool = True) -> str:
+    """The help page of a command; one that composes an experiment ends in what can be chosen.
+
+    All of that fills screens: without ``everything`` a few examples and the groups' names stand for
+    it, on one.
+    """
     text = str(module.HELP).strip("\n") + "\n"
     primary = getattr(module, "COMPOSES", None)
-    if primary is not None:
-        from trms_cli.commands.list_ import describe_choices
+    if primary is None:
+        return text
+    from trms_cli.commands.list_ import describe_choices, describe_groups
 
-        text += "\n" + describe_choices(primary)
-        if "--multirun" in text:
-            text += "\nsweeps (-m)\n" + describe_choices("sweep")
+    if not everything:
+        command = next(name for name in COMMANDS if COMMANDS[name] == module.SUMMARY)
+        return f"{_shortened(text)}\n{describe_groups(primary, command)}"
+    text += "\n" + describe_choices(primary)
+    if "--multirun" in text:
+        text += "\nsweeps (-m)\n" + describe_choices("sweep")
     return text
+
+
+def _shortened(text: str) -> str:
+    """Usage, purpose, a few examples and the options."""
+    sections = [section.splitlines() for section in text.split("\n\n")]
+    kept = [s for s in sections if not s[0].startswith("keys that")]
+    for section in kept:
+        if section[0].startswith("examples"):
+            del section[_FEW_EXAMPLES + 1 :]
+    return "\n\n".join("\n".join(section) for section in kept).rstrip("\n") + "\n"
 
 
 def overview(*, try_these: bool) -> str:

@@ -47,7 +47,7 @@ def test_every_command_has_help_and_the_summary_that_the_table_shows(trms, name)
         result = trms(*argv)
         assert f"trms {name}" in result.stdout
         assert result.stderr == ""
-        own = re.split(r"\nchoices ", result.stdout)[0]  # lists fold on a terminal
+        own = re.split(r"\nchoices", result.stdout)[0]  # lists fold on a terminal
         assert max(map(len, own.splitlines())) <= 100
 
 
@@ -65,8 +65,17 @@ def test_every_module_with_a_summary_is_in_the_table():
 
 
 def test_the_help_of_run_shows_the_choices(trms):
-    text = trms("run", "--help").stdout
+    text = trms("run", "--help-all").stdout
     assert all(words in text for words in ("* square", "newtonian_full", "sample_time: 0.02"))
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_help_fits_a_screen_and_names_the_groups(trms, name):
+    text = trms(name, "--help").stdout
+    assert len(text.splitlines()) <= 50
+    if hasattr(cli.load_command(name), "COMPOSES"):
+        assert f"trms {name} --help-all" in text
+        assert "model=newtonian" in text or name in ("excite", "sweep")
 
 
 @pytest.mark.parametrize(
@@ -144,7 +153,10 @@ class TestErrors:
 
 class TestList:
     def test_groups_with_descriptions_also_as_json(self, trms):
-        shown = trms("list").stdout
+        groups = trms("list").stdout
+        assert re.search(r"model +\d+  what the controller and the observer believe", groups)
+        assert "newtonian_full" not in groups and len(groups.splitlines()) <= 50
+        shown = trms("list", "--all").stdout
         assert "model  (what the controller and the observer believe)" in shown
         assert "newtonian_full" in shown
         document = json.loads(trms("list", "--json").stdout)
@@ -240,3 +252,18 @@ def test_the_commands_after_a_run_and_on_the_first_page_can_be_typed(tmp_path):
     assert command == [here, "score", "o/run.mcap"]
     assert "\n1 s, completed" in typed(*command)  # as long as the run was
     assert f"  {here} run --help" in typed(here)
+
+
+def test_a_file_that_is_not_there_is_answered_with_the_nearest(refused, tmp_path):
+    (tmp_path / "monday").mkdir()
+    (tmp_path / "monday" / "rig.csv").write_text("t[s],u_v[V],alpha_v[rad]\n")
+    refused("score", str(tmp_path / "monday" / "rigg.csv"), words="did you mean")
+    refused("score", str(tmp_path / "mondai" / "rig.csv"), words=str(Path("monday", "rig.csv")))
+    refused("score", str(tmp_path / "xyz"), words="check the path")
+
+
+def test_a_missing_recording_is_asked_for_with_one_that_lies_here(refused, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused("diagnose", words="add real=rig.csv")
+    (tmp_path / "monday.mcap").touch()
+    refused("diagnose", words="add real=monday.mcap")

@@ -21,5 +21,5 @@ def main(argv: Sequence[str]) -> int:
     if not argv:
         sys.stdout.write(overview(try_these=False))
     else:
-        sys.stdout.write(help_text(load_command(argv[0])))
+        sys.stdout.write(help_text(load_command(argv[0]), everything=False))
     return EXIT_OK

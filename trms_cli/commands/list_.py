@@ -14,16 +14,18 @@ from trms_cli.core.printable import print_json
 SUMMARY = "the plugins there are, with one line each"
 
 HELP = """\
-usage: trms list [GROUP [OPTION]] [--json] [--config-dir DIR]…
+usage: trms list [GROUP [OPTION]] [--all] [--json] [--config-dir DIR]…
 
-  The groups, their options and what each is. With an OPTION: its YAML, whose comments tell
-  every key's unit and meaning; each key can be changed as GROUP.KEY=VALUE.
+  The groups, or a group's options and what each is. With an OPTION: its YAML, whose comments
+  tell every key's unit and meaning; each key can be changed as GROUP.KEY=VALUE.
 
+  --all              all groups with their options
   --json             the same as JSON (schema trms.list/1)
   --config-dir DIR   also your own folder of groups; an option in it hides a built-in namesake
 
 examples
-  trms list                    everything
+  trms list                    the groups
+  trms list --all              the groups with all of their options
   trms list controller         the controllers
   trms list controller pid     the keys of one
 """
@@ -32,10 +34,10 @@ examples
 def main(argv: Sequence[str]) -> int:
     """Print groups, one group, or one option."""
     config_dirs, rest = catalogue.take_config_dirs(
-        as_options(argv, {"json": False, "config-dir": True})
+        as_options(argv, {"json": False, "all": False, "config-dir": True})
     )
     as_json = "--json" in rest
-    words = [word for word in rest if word != "--json"]
+    words = [word for word in rest if word not in ("--json", "--all")]
     _refuse_options(words)
     groups = catalogue.read_groups(config_dirs)
     if len(words) >= 2:
@@ -50,8 +52,10 @@ def main(argv: Sequence[str]) -> int:
         groups = {words[0]: catalogue.find_group(groups, words[0])}
     if as_json:
         print_json(document_of(groups, catalogue.about(config_dirs)))
-    else:
+    elif words or "--all" in rest:
         sys.stdout.write(_table(groups, catalogue.about(config_dirs), config_dirs))
+    else:
+        sys.stdout.write(_overview(groups, catalogue.about(config_dirs)))
     return EXIT_OK
 
 
@@ -63,6 +67,16 @@ def _refuse_options(words: Sequence[str]) -> None:
             where="trms list",
             remedy="usage: trms list [GROUP [OPTION]] [--json] [--config-dir DIR]",
         )
+
+
+def _overview(groups: catalogue.Groups, purposes: dict[str, str]) -> str:
+    """A line for each group: how many options it has, and what they are for."""
+    width = max(map(len, groups), default=0) + 2
+    lines = [
+        row(f"{group:{width}}{len(options):3}  ", purposes.get(group, ""))
+        for group, options in groups.items()
+    ]
+    return "\n".join([*lines, "", "next  trms list GROUP", "      trms list --all", ""])
 
 
 def _table(groups: catalogue.Groups, purposes: dict[str, str], config_dirs: Sequence[Path]) -> str:
@@ -107,6 +121,28 @@ def describe_choices(primary: str, config_dirs: Sequence[Path] = ()) -> str:
             lines.append(row(f"   {mark} {name:24} ", option.summary))
     lines += ["", "other keys", *_key_lines(catalogue.primary_file(primary, config_dirs))]
     return "\n".join(lines) + "\n"
+
+
+def describe_groups(primary: str, command: str) -> str:
+    """What can be chosen, a line for each group: its default, what it is, how many there are."""
+    declared = catalogue.read_primary(primary)
+    groups = catalogue.read_groups()
+    lines = ["choices, each with its default"]
+    for group, default in declared.defaults.items():
+        count = len(groups.get(group, {}))
+        about = declared.about.get(group, "").split(": [NAME")[0]
+        chosen = f"{group}={default or 'none' if not isinstance(default, list) else 'none'}"
+        lines.append(row(f"  {chosen:30} ", f"{about} ({count})"))
+    return "\n".join(
+        [
+            *lines,
+            "",
+            "more",
+            row(f"  trms {command} --help-all".ljust(29), "all examples, options and keys"),
+            "  trms list GROUP [OPTION]   the options of a group, the keys of an option",
+            "",
+        ]
+    )
 
 
 def row(head: str, text: str) -> str:

@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from trms_cli.composition import catalogue, checks
-from trms_cli.composition.overrides import ComposeRequest, Override, parse, read_request
+from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse, read_request
 from trms_cli.composition.plain_values import value_at
+from trms_cli.core.data_file import RECORDINGS
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.core.wording import choice_labels
 from trms_cli.runs.run_folder import new_folder
@@ -182,11 +183,7 @@ class Composer:
             composed, choices = self._by_hydra(overrides, request.overrides)
             missing = sorted(OmegaConf.missing_keys(composed))
             if missing:
-                raise ConfigurationError(
-                    f"{', '.join(missing)} must be given",
-                    where=missing[0],
-                    remedy=f"add {' '.join(f'{key}=…' for key in missing)}",
-                )
+                raise _missing(missing)
             config = OmegaConf.to_container(composed, resolve=True)
             assert isinstance(config, dict)
             return self._checked({str(k): v for k, v in config.items()}, choices, request)
@@ -310,6 +307,18 @@ class Composer:
         elif prefix != "++" or not path:
             raise _Unusual
         node[last] = _typed(checks.prepared_value(override, base.keys, False).value or "", last)
+
+
+def _missing(keys: Sequence[str]) -> ConfigurationError:
+    """Keys that have to be given, each with an example: of a recording one that lies here."""
+    here = (p.name for p in sorted(Path().iterdir()) if p.suffix in RECORDINGS)
+    file = next(here, "rig.csv")
+    return ConfigurationError(
+        f"{', '.join(keys)} must be given",
+        where=keys[0],
+        remedy="add "
+        + " ".join(f"{key}={file if key.split('.')[-1] in PATH_KEYS else '…'}" for key in keys),
+    )
 
 
 @functools.lru_cache(maxsize=4)

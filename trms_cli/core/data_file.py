@@ -1,5 +1,6 @@
 """Files of data, read only up to a size: a file that is larger is told, not waited for."""
 
+import difflib
 import json
 import os
 import stat
@@ -16,6 +17,8 @@ ENVIRONMENT = "TRMS_LARGEST_FILE"
 MEBIBYTE = 2**20
 #: JSON of ours: a report's largest document has some 10 MiB.
 LARGEST_DOCUMENT = 64 * MEBIBYTE
+#: Endings of recordings and logs.
+RECORDINGS = (".csv", ".mat", ".mcap")
 
 
 def largest(usual: int) -> int:
@@ -68,9 +71,23 @@ def recorded_bytes(path: Path, usual: int) -> bytes:
 
 
 def absent(path: Path, what: str = "file") -> RecordingError:
-    """The words for a log or a recording that is not there."""
-    remedy = f"check the path; {program()} runs lists the runs there are"
+    """The words for a log or a recording that is not there, with the nearest that is."""
+    close = _nearest(path)
+    remedy = f"did you mean {close}? " if close else "check the path; "
+    remedy += f"{program()} runs lists the runs there are"
     return RecordingError(f"there is no such {what}", where=str(path), remedy=remedy)
+
+
+def _nearest(path: Path) -> str:
+    """A path whose first part that does not exist is replaced by its nearest neighbour."""
+    folder = next((place for place in path.parents if place.is_dir()), Path())
+    name, *rest = path.relative_to(folder).parts or ("",)
+    try:
+        neighbours = [entry.name for entry in folder.iterdir()]
+    except OSError:
+        return ""
+    close = difflib.get_close_matches(name, neighbours, n=1)
+    return str(Path(folder, close[0], *rest)) if close else ""
 
 
 def unreadable(error: OSError, path: Path) -> RecordingError:

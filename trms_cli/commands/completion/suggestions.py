@@ -10,10 +10,14 @@ from trms_cli.cli import COMMANDS, load_command
 from trms_cli.composition.catalogue import read_groups, read_primary, take_config_dirs
 from trms_cli.composition.checks import DeclaredKeys
 from trms_cli.composition.overrides import PATH_KEYS
+from trms_cli.core.data_file import RECORDINGS
 from trms_cli.core.errors import TrmsError
 
-_OPTIONS_OF_ALL = ("--help", "--debug")
+_OPTIONS_OF_ALL = ("--help", "--help-all", "--debug")
 _OPTIONS_OF_COMPOSING = ("--config-dir", "--cfg", "--multirun")
+#: Commands whose words are logs, recordings and folders of them.
+_OF_LOGS = ("score", "plot", "compare", "report", "import", "export", "watch")
+_MOST_RUNS = 8  #: newest ones, offered before anything is typed
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
 
 
@@ -52,6 +56,8 @@ def _of_command(command: str, module: Any, earlier: Sequence[str], word: str) ->
     words = _words_of(last, module.HELP) if last.startswith("--") else []
     if words:
         return _starting(word, words)
+    if last == "--from":
+        return _logs(word)
     if last.startswith("--") and _takes_file(last, module.HELP):
         return _paths(word)
     if command == "completion":
@@ -61,7 +67,7 @@ def _of_command(command: str, module: Any, earlier: Sequence[str], word: str) ->
     if command == "list":
         return _of_list(earlier, word)
     if primary is None:
-        return _paths(word)
+        return _logs(word) if command in _OF_LOGS else _paths(word)
     return _of_overrides(primary, earlier, word)
 
 
@@ -104,6 +110,10 @@ def _of_overrides(primary: str, earlier: Sequence[str], word: str) -> list[str]:
         offers = _options(groups[group], value, several)
         if "from_file" in groups[group] and not offers:
             offers = _paths(value)
+    elif key in ("real", "against"):
+        head = "[" if value.startswith("[") else ""
+        head += value[len(head) : value.rfind(",") + 1]
+        offers = [head + path for path in _logs(value[len(head) :])]
     elif key.split(".")[-1] in PATH_KEYS:
         offers = _paths(value)
     else:
@@ -150,6 +160,15 @@ def _suggestion(name: str, value: Any) -> str:
 
 def _starting(word: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if name.startswith(word)]
+
+
+def _logs(word: str) -> list[str]:
+    """Recordings, logs and folders; before anything is typed the newest runs too."""
+    offers = [p for p in _paths(word) if p.endswith("/") or p.lower().endswith(RECORDINGS)]
+    if word:
+        return offers
+    runs = sorted(Path().glob("outputs/*/*/run.mcap"), key=lambda log: log.as_posix())
+    return [*(str(log.parent) for log in runs[: -_MOST_RUNS - 1 : -1]), *offers]
 
 
 def _paths(word: str) -> list[str]:
