@@ -135,7 +135,7 @@ HEAD = "t[s],u_v[V],alpha_v[rad]\n"
         (HEAD + "0,1,2\n1,1,2\n# end\n", 4, "# line below", "above"),
         (HEAD + "0,1,2\n1,one,2\n", 3, "'u_v' holds 'one'", "0.25"),
         (HEAD + "0,1,2\n1,1_0,2\n", 3, "'u_v' holds '1_0'", "0.25"),
-        (HEAD + "0,1,2\n1,1,nan\n", 3, "'alpha_v' holds 'nan', which is not finite", "empty"),
+        (HEAD + "0,1,2\nNaN,1,2\n", 3, "'t' is empty", "its time"),
         (HEAD + "0,1,2\n1,-inf,2\n", 3, "'u_v' holds '-inf', which is not finite", "empty"),
         (HEAD + "0,1,2\n1,1e999,2\n", 3, "not finite", "empty"),
         (HEAD + "0,1,2\n,1,2\n", 3, "'t' is empty", "its time"),
@@ -207,3 +207,11 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path_factory, recording) -> Non
     for name, values in recording.channels.items():
         np.testing.assert_array_equal(back.channels[name], values)
     assert back.units == recording.units and back.metadata == recording.metadata
+
+
+@pytest.mark.parametrize("cell", ["", "nan", "NaN", "NAN", "-nan", ' "nan" '])
+def test_nan_is_a_missing_sample(tmp_path, cell):
+    path = tmp_path / "rec.csv"
+    path.write_text(f"t[s],u_v[V],alpha_v[rad]\n0,1,2\n1,1,{cell}\n2,1,3\n")
+    recording = read_csv(path)
+    np.testing.assert_array_equal(recording.channels["alpha_v"], [2, np.nan, 3])

@@ -23,6 +23,8 @@ _HEADER_CELL = re.compile(r"^(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]$")
 _TIME = Channel("t", "time", ("s",), "time")
 _EXAMPLE = "t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]"
 _MISSING = float("nan")
+#: What recorders write where there is no sample.
+_NO_VALUE = ("", "nan", "-nan", "+nan")
 #: Of a file: eight channels at 100 Hz for some three hours.
 _USUAL_MOST = 64 * MEBIBYTE
 _LEAST_LINE = 8  # bytes; shorter lines hold no recording
@@ -277,7 +279,7 @@ def _numbers(
 
 def _number(path: Path, line: int, cell: str, column: _Column) -> float:
     text = cell.strip().strip('"').strip()
-    if not text or column.channel is None:
+    if text.lower() in _NO_VALUE or column.channel is None:
         return _MISSING
     prefix, empty = (
         f"column {column.name!r} holds",
