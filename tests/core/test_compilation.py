@@ -4,6 +4,7 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -73,3 +74,21 @@ def test_trouble_costs_speed_and_not_the_run(trouble, cache, tmp_path, monkeypat
     found = BufferedFunction(function()).evaluate(np.ones(3), np.eye(2))[0]
     assert found == pytest.approx(2 * np.sin(np.ones(3)))
     assert not list(cache.glob("*"))
+
+
+def test_a_long_compilation_is_told_at_a_terminal_alone(cache, tmp_path, monkeypatch) -> None:
+    """A compiler that takes long stands in for a large function."""
+    slow = tmp_path / "slow_cc"
+    slow.write_text(f'#!/bin/sh\nsleep 0.5\nexec {compilation.compiler()} "$@"\n')
+    slow.chmod(0o755)
+    monkeypatch.setenv("CC", str(slow))
+    compilation.compiler.cache_clear()
+    monkeypatch.setattr(compilation, "_LONG", 0.05)
+    said: list[str] = []
+    for is_terminal, expected in ((False, 0), (True, 1)):
+        terminal = SimpleNamespace(isatty=lambda answer=is_terminal: answer, write=said.append)
+        monkeypatch.setattr(compilation.sys, "stderr", terminal)
+        source = f"double value_{is_terminal}(void) {{ return 1.0; }}\n"
+        assert compilation.compiled_source(f"value_{is_terminal}", source) is not None
+        assert len(said) == expected
+    assert "compiling value_True" in said[0] and str(cache) in said[0]

@@ -13,8 +13,11 @@ import hashlib
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import casadi as ca
@@ -32,6 +35,8 @@ COMPILER_FLAGS = ("-O2", "-ftree-vectorize", "-fPIC", "-shared", "-ffp-contract=
 #: fast.
 QUICKLY = ("-O1", *COMPILER_FLAGS[2:])
 _ENVIRONMENT_SWITCH = "TRMS_COMPILE"  # "0" turns compilation off
+#: s that a compiler may take before somebody at a terminal is told.
+_LONG = 1.0
 #: Functions that a process keeps at hand; each may be that of many runs.
 _MOST_LOADED = 128
 
@@ -148,12 +153,29 @@ def build_library(
         with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
             source, binary = write(Path(scratch)), Path(scratch) / library.name
             command = [program, *flags, "-o", str(binary), str(source), "-lm"]
-            subprocess.run(command, check=True, capture_output=True)
+            with _saying(name):
+                subprocess.run(command, check=True, capture_output=True)
             os.replace(binary, library)
     except (OSError, subprocess.CalledProcessError):
         # An unwritable cache or a broken compiler costs speed, never the run.
         return None
     return library
+
+
+@contextmanager
+def _saying(name: str) -> Iterator[None]:
+    """Tell a person at a terminal what is waited for, where it takes long."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    words = f"compiling {name}: once, it is kept in {cache_folder()}\n"
+    timer = threading.Timer(_LONG, sys.stderr.write, [words])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def is_built(name: str, content: Iterable[str], flags: Sequence[str]) -> bool:
