@@ -13,6 +13,10 @@ JOBS ?= 2
 # folder of the blind sets, and their seed
 BLIND ?= outputs/blind
 SEED ?= 1
+# a model of your own for the proof, and the folder of its rig
+MODEL ?=
+RIG ?= examples/$(MODEL)
+OWN = $(abspath $(BLIND))/$(MODEL)
 # what a diagnosis is compared with on the full set
 BASELINES ?= parameter_refit sparse_regression white_noise_bic classifier flexible_residual
 
@@ -139,10 +143,17 @@ network-correction: $(READY) ## study: a network beside the equations, on rigs o
 tras-fit: $(READY) ## study: a fit to the real TRAS (RECORDS=folder with closed_loop.csv)
 	@$(BIN)/python -m experiments.tras '$(RECORDS)' $(ARGS)
 
-blind: $(READY) ## proof, small: 24 sealed rigs made, diagnosed and judged (ARGS="effort=quick" is faster)
+blind: $(READY) ## proof, small: 24 sealed rigs made, diagnosed and judged (ARGS="effort=quick" is faster); MODEL=servo_drive: 96 rigs drawn from that model, in examples/ or RIG=FOLDER
+ifneq ($(MODEL),)
+	@cd '$(RIG)' && export TRMS_ALLOW='$(MODEL)' && trms='$(abspath $(BIN))/trms' && \
+		{ test -f '$(OWN)/commitment.json' || $$trms blind make model=$(MODEL) data=$(MODEL) seed=$(SEED) fresh=0 out='$(OWN)'; } && \
+		$$trms blind run in='$(OWN)' out='$(OWN).found' $(ARGS) && \
+		$$trms blind score in='$(OWN)' diagnoses='$(OWN).found'
+else
 	@test -f $(BLIND)/small/commitment.json || $(BIN)/trms blind make set=small seed=$(SEED) out=$(BLIND)/small
 	@$(BIN)/trms blind run in=$(BLIND)/small out=$(BLIND)/small.found $(ARGS)
 	@$(BIN)/trms blind score in=$(BLIND)/small diagnoses=$(BLIND)/small.found
+endif
 
 blind-full: $(READY) ## proof, whole: 300 sealed rigs, with baselines; hours, and called again it goes on
 	@test -f $(BLIND)/final/commitment.json || $(BIN)/trms blind make set=final seed=$(SEED) out=$(BLIND)/final

@@ -32,6 +32,8 @@ sets
   imperfect         120 rigs whose laws are others than the model's, with a cause on top
   imperfect_curves  60 rigs whose laws no power describes, with a cause on top
   calibration       1000 rigs that probabilities are fitted to
+  own               with model=NAME: 96 rigs drawn from a model of your own, with the effects that
+                    are generated for it; how large they have to be is measured first
 
 examples
   trms blind make set=small seed=7 out=sets/small
@@ -39,6 +41,8 @@ examples
   trms blind run in=sets/small out=sets/quick effort=quick cases=5
   trms blind run in=sets/small out=sets/few 'with=["candidates=[yaw_*,main_*]"]'
   trms blind score in=sets/small diagnoses=sets/found
+  trms blind make model=my_rig data=my_rig fresh=0 out=sets/mine     in the folder of trms init
+  trms blind run in=sets/mine out=sets/mine.found                    likewise
   trms blind score in=sets/small 'diagnoses=[full=sets/found,quick=sets/quick]'
 
 options of each of the three

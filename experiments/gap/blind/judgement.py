@@ -10,17 +10,20 @@ from typing import Any
 import numpy as np
 
 from experiments.gap.blind.cases import Case
-from experiments.gap.blind.refit import dataset_of
+from experiments.gap.blind.model_rig import growing_size
+from experiments.gap.blind.refit import NOISE_SD, dataset_of
 from experiments.gap.blind.truths import TRUTHS, same_equation
 from trms_cli.effects.model_file import load_model
 from trms_cli.gap.belief import simulated_part
 from trms_cli.gap.diagnosis import NO_EFFECT, SCHEMA, WORSE
 from trms_cli.gap.free_runs import free_run_errors
 from trms_cli.gap.shrinkage import LEAST_GAP
+from trms_cli.models.model import names
+from trms_cli.plants.sensors import noise_estimate
 
 #: Sizes that the rigs' laws and the library's share: the cable's memory follows another law, a
 #: disturbance is drawn.
-_OTHER_SIZES = ("yaw_cable_hysteresis", "pitch_disturbance", "yaw_disturbance")
+_OTHER_SIZES = ("_hysteresis", "_disturbance")
 #: Competitors of a race that stand for causes without an effect.
 _COMPETITORS: Mapping[str, tuple[str, ...]] = {
     "parameters_only": (),
@@ -182,10 +185,10 @@ class JudgedCase:
         """Relative error of the size that makes the severity, of each effect that was found."""
         relative_errors = {}
         for effect in self.answer.named_effects & frozenset(self.case.effects):
-            size = TRUTHS[effect].grows[0]
+            size = TRUTHS[effect].grows[0] if effect in TRUTHS else growing_size(effect)
             estimate = self.answer.sizes.get(f"{effect}.{size}")
             true = self.case.effects[effect][size]
-            if effect not in _OTHER_SIZES and estimate is not None and true:
+            if not effect.endswith(_OTHER_SIZES) and estimate is not None and true:
                 relative_errors[effect] = abs(estimate - true) / abs(true)
         return relative_errors
 
@@ -333,7 +336,15 @@ def _errors(file: Path, recording: Path) -> dict[str, float]:
     with recording.open(encoding="utf-8") as lines:
         columns = next(line for line in lines if not line.startswith("#")).count(",") + 1
     table = np.loadtxt(recording, delimiter=",", comments="#", skiprows=_header(recording))
-    data = dataset_of(model, table[:, 0], table[:, 1:3], table[:, 3:columns], recording.name)
+    first = 1 + model.n_u  # of the outputs
+    measured = table[:, first:columns]
+    outputs = names(model.outputs)[: measured.shape[1]]
+    noise = NOISE_SD
+    if not {*outputs} <= {*noise}:
+        noise = dict(zip(outputs, noise_estimate(measured).tolist(), strict=True))
+    data = dataset_of(
+        model, table[:, 0], table[:, 1:first], measured, recording.name, noise_sd=noise
+    )
     horizon = float(HORIZON)
     errors = free_run_errors(model, [data], [(0, 0, len(data))], horizons=[horizon])
     return {channel: of[horizon].rms for channel, of in errors.items()}

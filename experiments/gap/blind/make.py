@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 
@@ -14,6 +15,10 @@ from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import EXIT_OK, ConfigurationError
 from trms_cli.core.plugins import construct, nearest
 
+if TYPE_CHECKING:
+    from experiments.gap.blind.model_set import RigSource
+
+OWN = "own"  #: the set of a model of one's own
 #: s. A rig is integrated in steps of this length, of which a sample is a whole number.
 _STEP = 1e-3
 
@@ -22,7 +27,7 @@ _STEP = 1e-3
 class MakeOptions:
     """The keys of ``configs/blind_make.yaml``."""
 
-    set: str  #: What the set holds
+    set: str | None  #: What the set holds; None: ``small``, or with a model ``own``
     out: str  #: folder of the recordings
     seed: Annotated[int, Meta(ge=0)] = 0
     cases: Annotated[int, Meta(ge=1)] | None = None  #: None: as many as the set has
@@ -43,10 +48,15 @@ def perform(composition: Composition) -> int:
     from trms_cli.runs.run_folder import new_folder
 
     begin = perf_counter()
-    options = construct(MakeOptions, composition.config)
-    if options.set not in SETS:
+    keys = dict(composition.config)
+    rigs = _rigs(keys.pop("model", None), keys.pop("data", None), composition.config_dirs)
+    options = construct(MakeOptions, keys)
+    name = options.set or ("small" if rigs is None else OWN)
+    if name not in (SETS if rigs is None else (OWN,)):
         raise ConfigurationError(
-            f"there is no set {options.set!r}", where="set", remedy=nearest(options.set, SETS)
+            f"there is no set {name!r}" + (" of a model of your own" if rigs else ""),
+            where="set",
+            remedy=nearest(name, SETS if rigs is None else (OWN,)),
         )
     steps = options.sample_time / _STEP
     if abs(steps - round(steps)) > 1e-6:
@@ -66,20 +76,46 @@ def perform(composition: Composition) -> int:
     new_folder(folder, "blind")
     new_folder(key_folder, "blind")
     request = SetRequest(
-        name=options.set,
+        name=name,
         seed=options.seed,
         cases=options.cases,
         timing=Timing(duration=options.duration, sample_time=options.sample_time),
         fresh=options.fresh,
         jobs=options.jobs,
+        rigs=rigs,
     )
-    number = SETS[options.set].cases if options.cases is None else options.cases
+    whole = SETS[name].cases if rigs is None else rigs.cases
+    number = whole if options.cases is None else options.cases
     sys.stderr.write(f"{number} rigs move, many at once; some minutes\n")
     make(request, folder, key_folder, lambda digest: print(f"key  sha256 {digest}", flush=True))
     print(f"{number} recordings in {folder}, the key in {key_folder / KEY}")
     print(f"{perf_counter() - begin:.0f} s")
     print(f"then: trms blind run in={folder} out={folder}.found")
     return EXIT_OK
+
+
+def _rigs(model: Any, data: Any, config_dirs: Sequence[Path]) -> RigSource | None:
+    """What rigs of a model of one's own are drawn from; None: they are TRMSs."""
+    if model is None:
+        return None
+    from experiments.gap.blind.model_set import RigSource
+    from trms_cli.core.plugins import build
+    from trms_cli.library.tasks.diagnose import candidates_of
+
+    own = build(model, "model")
+    if own.bench_sizes:
+        raise ConfigurationError(
+            f"{own.name} is a model of the TRMS, whose rigs have code of their own",
+            where="model",
+            remedy="leave out model=, and name a set: set=small",
+        )
+    noise, quantum = ((data or {}).get(key) for key in ("noise_sd", "quantum"))
+    return RigSource(
+        own,
+        candidates_of(["all"], own, config_dirs).effects,
+        noise if isinstance(noise, Mapping) else {},
+        quantum or {},
+    )
 
 
 def key_folder_of(folder: Path, key: str | None) -> Path:

@@ -31,22 +31,29 @@ class Refit(NamedTuple):
     """The nominal model at its best."""
 
     values: Mapping[str, float]  #: The free parameters
-    #: (n_y,) array; root mean square of what is left in each output, over windows of 10 s with free
-    #: starts
+    #: (n_y,) array; root mean square of what is left in each output, over windows with free starts
     rms: FloatArray
 
 
 def dataset_of(
-    model: Model, time: FloatArray, commands: FloatArray, measured: FloatArray, name: str = "blind"
+    model: Model,
+    time: FloatArray,
+    commands: FloatArray,
+    measured: FloatArray,
+    name: str = "blind",
+    *,
+    noise_sd: Mapping[str, float] = NOISE_SD,
 ) -> Dataset:
     """A recording as fits take it.
 
     Parameters
     ----------
     time : (k,) array
-    commands : (k, 2) array
-    measured : (k, 4) or (k, 2) array
+    commands : (k, n_u) array
+    measured : (k, n_y) array, or fewer columns
         As many of the model's outputs, in its order, as there are columns.
+    noise_sd : dict of str to float
+        Of each of them, in its unit.
     """
     outputs = tuple(model.outputs)[: measured.shape[1]]
     return Dataset(
@@ -59,14 +66,16 @@ def dataset_of(
         outputs=outputs,
         commands=np.ascontiguousarray(commands),
         measurements=np.ascontiguousarray(measured),
-        noise_sd=np.array([NOISE_SD[name] for name in names(outputs)]),
+        noise_sd=np.array([noise_sd[name] for name in names(outputs)]),
     )
 
 
-def refit(model: Model, recording: Dataset) -> Refit:
-    """Fit the model's parameters within their priors, from one start."""
+def refit(model: Model, recording: Dataset, window_length: float = 10.0) -> Refit:
+    """Fit the model's parameters within their priors, from one start, in windows of some s."""
     free = free_parameters(model.parameters, [PRIORS])
-    problem = FitProblem(model=model, datasets=(recording,), free=free, window_length=10.0, jobs=1)
+    problem = FitProblem(
+        model=model, datasets=(recording,), free=free, window_length=window_length, jobs=1
+    )
     windows = Windows(problem)
     solution = fit_from(windows, problem.starts, MapSettings(iterations=_ITERATIONS))
     theta = solution.point.theta

@@ -18,6 +18,7 @@ from msgspec import Meta
 
 from experiments.command_line import side_by_side
 from trms_cli.composition.composer import Composition
+from trms_cli.composition.overrides import default_words
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.plugins import construct
 from trms_cli.runs.run_folder import hold, in_use
@@ -51,7 +52,8 @@ def perform(composition: Composition) -> int:
     recordings = recordings_of(Path(options.source).expanduser())[: options.cases]
     out = Path(options.out).expanduser()
     _make_folder(out)
-    words = [f"effort={options.effort}", *options.overrides]
+    own = default_words(options.overrides, "diagnose")  # in the folder of a rig
+    words = [f"effort={options.effort}", *own, *options.overrides]
     for folder in composition.config_dirs:
         words += ["--config-dir", str(folder)]
     waiting = [r for r in recordings if not (out / r.stem / DOCUMENT_NAME).is_file()]

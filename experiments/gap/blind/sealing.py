@@ -14,7 +14,7 @@ import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msgspec import convert
 
@@ -23,6 +23,9 @@ from experiments.gap.blind.recording import Timing, csv_of, record, references_o
 from trms_cli.core.data_file import not_as_written, read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.whole_file import replace_whole
+
+if TYPE_CHECKING:
+    from experiments.gap.blind.model_set import RigSource
 
 KEY_SCHEMA, COMMITMENT_SCHEMA = "trms.blind.key/1", "trms.blind.commitment/1"
 RECORDINGS, COMMITMENT = "recordings", "commitment.json"
@@ -43,6 +46,7 @@ class SetRequest:
     timing: Timing = field(default_factory=Timing)  #: Of the recordings
     fresh: float = 60.0  #: s of a second recording of each rig, kept with the key; 0: none
     jobs: int = 2  #: Processes
+    rigs: RigSource | None = None  #: What they are drawn from, where they are no TRMSs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,17 +200,28 @@ def references_beside(recording: Path) -> list[Path]:
 
 def _recorded(request: SetRequest) -> _RecordedSet:
     """All recordings of a set."""
-    cases = plan(request.name, request.seed, request.cases)
+    rigs = request.rigs
+    if rigs is None:
+        cases = plan(request.name, request.seed, request.cases)
+    else:
+        cases = rigs.plan(request.seed, request.cases, request.timing.sample_time)
     digits = max(3, len(str(len(cases))))
     names = [f"c{i:0{digits}d}" for i in range(1, len(cases) + 1)]
     driven_cases, recordings, references = texts_of(
-        dict(zip(names, cases, strict=True)), request.timing, request.seed, request.jobs
+        dict(zip(names, cases, strict=True)), request.timing, request.seed, request.jobs, rigs
     )
     fresh: dict[str, str] = {}
     if request.fresh:
         second = Timing(duration=request.fresh, sample_time=request.timing.sample_time)
-        again, others = record(cases, second, request.seed, jobs=request.jobs, fresh=True)
-        texts = [csv_of(case, other) for case, other in zip(again, others, strict=True)]
+        drive, written = (record, csv_of) if rigs is None else (rigs.record, rigs.csv_of)
+        again, others = drive(
+            [*driven_cases.values()] if rigs else cases,
+            second,
+            request.seed,
+            jobs=request.jobs,
+            fresh=True,
+        )
+        texts = [written(case, other) for case, other in zip(again, others, strict=True)]
         fresh = dict(zip(names, texts, strict=True))
     return _RecordedSet(
         cases=driven_cases, recordings=recordings, references=references, fresh=fresh
@@ -214,7 +229,11 @@ def _recorded(request: SetRequest) -> _RecordedSet:
 
 
 def texts_of(
-    cases: Mapping[str, Case], timing: Timing, seed: int, jobs: int
+    cases: Mapping[str, Case],
+    timing: Timing,
+    seed: int,
+    jobs: int,
+    rigs: RigSource | None = None,
 ) -> tuple[dict[str, Case], dict[str, str], dict[str, str]]:
     """Record cases and their references, by name.
 
@@ -230,8 +249,9 @@ def texts_of(
         for name, case in cases.items()
         for number, reference_case in enumerate(references_of(case), start=1)
     }
-    driven_cases, recordings = record([*cases.values(), *before.values()], timing, seed, jobs=jobs)
-    texts = [csv_of(c, recording) for c, recording in zip(driven_cases, recordings, strict=True)]
+    drive, written = (record, csv_of) if rigs is None else (rigs.record, rigs.csv_of)
+    driven_cases, recordings = drive([*cases.values(), *before.values()], timing, seed, jobs=jobs)
+    texts = [written(c, recording) for c, recording in zip(driven_cases, recordings, strict=True)]
     count = len(cases)
     return (
         dict(zip(cases, driven_cases, strict=False)),

@@ -37,7 +37,7 @@ LEVELS: Mapping[str, float] = {"weak": 1.3, "medium": 2.0, "strong": 4.0}
 #: No effect grows beyond so many times its typical size: rigs remain rigs.
 LARGEST = 3.0
 #: A level counts as reached where the gap beyond the floor comes so near to it.
-_NEAR = 0.75
+NEAR = 0.75
 _DURATION, _SAMPLE, _SETTLING, _SEED, _AMPLITUDE = 60.0, 0.02, 10.0, 20, 0.8
 #: Rigs without effect whose mean is the floor.
 _NULLS = 8
@@ -56,11 +56,11 @@ def levels_reached(effect: str) -> tuple[str, ...]:
     return tuple(
         level
         for level, ratio in LEVELS.items()
-        if _beyond(levels[level]["ratio"]) > _NEAR * _beyond(ratio)
+        if beyond(levels[level]["ratio"]) > NEAR * beyond(ratio)
     )
 
 
-def _beyond(ratio: float) -> float:
+def beyond(ratio: float) -> float:
     """The gap beyond the floor, in floors."""
     return float(np.sqrt(max(ratio**2 - 1, 0.0)))
 
