@@ -431,6 +431,10 @@ class DeclaredKeys:
             node = _merged(node, self._option(group, name, group))
         return node
 
+    def of_option(self, group: str, name: str) -> dict[str, Any]:
+        """What the YAML of an option has by itself, empty where there is none."""
+        return self._option(group, name, group)
+
     def _option(self, group: str, name: str, place: str) -> dict[str, Any]:
         """The content of one option with those that its own defaults put inside it."""
         option = self._groups.get(group, {}).get(name)

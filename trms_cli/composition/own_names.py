@@ -22,7 +22,10 @@ _USUAL = frozenset(
     {"alpha_v", "alpha_h", "omega_v", "omega_h", "u_v", "u_h"}
     | {"pitch", "yaw", "pitch_moment", "yaw_moment"}
 )
-_REFERENCE = "ref"
+#: What stands in YAML for a value without a default: a file, whose values have their own size.
+_MUST_BE_GIVEN = "???"
+#: Groups with an option that is a mapping of signals itself.
+_OF_SIGNALS = ("ref", "controller")
 
 
 def takes_own_names(keys: DeclaredKeys, key: str) -> bool:
@@ -30,7 +33,7 @@ def takes_own_names(keys: DeclaredKeys, key: str) -> bool:
     parts = key.split(".")
     if not (_has_own_names(keys) and _is_ours(keys, parts[0])):
         return False
-    if parts[0] == _REFERENCE and _has_usual_names(keys):
+    if parts[0] in _OF_SIGNALS and _has_usual_names(keys, parts[0]):
         return True
     nodes = [keys.value(".".join(parts[:n])) for n in range(2, len(parts))]
     return any(isinstance(node, Mapping) and node and {*node} <= _USUAL for node in nodes)
@@ -40,12 +43,13 @@ def as_own_signal(placed: Override, keys: DeclaredKeys) -> Override:
     """``signal@ref.position=sine`` of a state that the chosen reference does not name."""
     place = placed.package[1:]
     group, _, name = place.partition(".")
-    if group != _REFERENCE or "." in name or (placed.key, place) in keys.places():
+    if group not in _OF_SIGNALS or "." in name or (placed.key, place) in keys.places():
         return placed
     if not (_has_own_names(keys) and _is_ours(keys, group)):
         return placed
     # beside the usual ones it is the signal whose sizes are shares of the state's range
-    inside = ".signal" if _has_usual_names(keys) else ""
+    has_size = _MUST_BE_GIVEN not in keys.of_option(placed.key, str(placed.value)).values()
+    inside = ".signal" if has_size and _has_usual_names(keys, group) else ""
     return placed._replace(prefix="+", package=f"@{place}{inside}")
 
 
@@ -61,6 +65,6 @@ def _is_ours(keys: DeclaredKeys, group: str) -> bool:
     return str(keys.value(f"{group}.{TARGET}")).startswith("trms_cli.")
 
 
-def _has_usual_names(keys: DeclaredKeys) -> bool:
-    node = keys.value(_REFERENCE)
+def _has_usual_names(keys: DeclaredKeys, group: str) -> bool:
+    node = keys.value(group)
     return isinstance(node, Mapping) and bool(_USUAL & {*node})

@@ -41,8 +41,11 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.qp import Daqp, QpResult, QpSolver
 from trms_cli.core.ranges import NotNegative
-from trms_cli.models.model import names
+from trms_cli.models.model import Model, names
+from trms_cli.models.state_scales import state_scales
 
+#: Torques of a model of a user's as a share of what full command does.
+_SHARE = 0.05
 #: ε, of the mean cost beside the worst.
 _MEAN = 1e-3
 #: Violation of a soft limit that counts as none, the state's unit.
@@ -90,7 +93,7 @@ class MinMaxState(TreeState):
         import clarabel  # before the first sample, not at it
 
         self._clarabel, self._iterations = clarabel, config.max_iterations
-        self.vertices = _vertices(config, names(self.model.disturbances))
+        self.vertices = _vertices(_torques(config, self.model), names(self.model.disturbances))
         self.tree = ScenarioTree(self.problem, len(self.vertices), config.robust_horizon)
         self.shifts = self._shifts(*operating_point(self.problem, config.operating_point))
 
@@ -216,12 +219,25 @@ class MinMaxState(TreeState):
         return QpResult(z, solved, int(solution.iterations), "" if solved else status)
 
 
-def _vertices(config: MinMaxMpc, known: tuple[str, ...]) -> FloatArray:
+def _torques(config: MinMaxMpc, model: Model) -> Mapping[str, float]:
+    """Those given, or of a model of a user's that has none of them, a share of what its inputs do.
+
+    On each of its axes.
+    """
+    moments = [axis.moment for axis in model.axes.values()]
+    given = set(names(model.disturbances)) & {*config.torques}
+    if model.bench_sizes or given or not config.torques:
+        return config.torques
+    scales = dict(zip(names(model.disturbances), state_scales(model).disturbances, strict=True))
+    return {**config.torques, **{name: _SHARE * float(scales[name]) for name in moments}}
+
+
+def _vertices(torques: Mapping[str, float], known: tuple[str, ...]) -> FloatArray:
     """All combinations of the torques' ends, (m, n_w)."""
-    for name in config.torques:
+    for name in torques:
         if name not in _OF_BOTH_AXES:
             require_known(name, known, f"the model has no {name!r}", f"controller.torques.{name}")
-    sizes = [(known.index(name), size) for name, size in config.torques.items() if name in known]
+    sizes = [(known.index(name), size) for name, size in torques.items() if name in known]
     sizes = [(row, size) for row, size in sizes if size > 0.0]
     if not sizes:
         raise ConfigurationError(

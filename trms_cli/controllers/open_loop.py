@@ -9,7 +9,8 @@ it: none is logged, and no tracking error is scored.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,9 +24,13 @@ from trms_cli.controllers.controller import (
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.models.model import names
+from trms_cli.models.state_scales import bench_ratios
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.references.signal import ReferenceSignal, require_signal
+from trms_cli.references.trajectory import fitted_signals
 
+#: Inputs that have signals in the program's own YAML.
+_ROTORS = ("u_v", "u_h")
 #: Samples for which the signals are evaluated at once.
 _BLOCK = 1024
 
@@ -58,9 +63,14 @@ class OpenLoopState:
         return self.commands[k]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, init=False)
 class OpenLoop(PresentReference):
-    """Signals as commands. All amplitudes and offsets of the signals are in the input's unit."""
+    """Signals as commands. All amplitudes and offsets of the signals are in the input's unit.
+
+    A model whose inputs have names of their own takes signals by these as further keys; an input
+    without one has that of the main or the tail rotor, with its sizes by the scale of the input:
+    0.5 V are 20 % of full command.
+    """
 
     u_v: ReferenceSignal | None = None  #: What the main and the tail rotor are told, beyond u₀
     u_h: ReferenceSignal | None = None  #: None: nothing
@@ -71,10 +81,31 @@ class OpenLoop(PresentReference):
     #: Nothing is to be followed: no reference in the log, no tracking error in the score.
     follows_reference: ClassVar[bool] = False
 
-    def __post_init__(self) -> None:
-        for name in ("u_v", "u_h"):
-            if getattr(self, name) is not None:
-                require_signal(getattr(self, name), name)
+    #: Those of inputs of other names
+    others: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    def __init__(
+        self,
+        *,
+        u_v: ReferenceSignal | None = None,
+        u_h: ReferenceSignal | None = None,
+        operating_point: Mapping[str, float] | None = None,
+        sample_time: float | None = None,
+        others: Mapping[str, Any] = MappingProxyType({}),
+        **signals: Any,
+    ) -> None:
+        values: dict[str, Any] = {"u_v": u_v, "u_h": u_h, "others": {**others, **signals}}
+        values |= {"operating_point": operating_point, "sample_time": sample_time}
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        for name, signal in self._signals.items():
+            if not isinstance(signal, Mapping):
+                require_signal(signal, name)
+
+    @property
+    def _signals(self) -> dict[str, Any]:
+        signals = {"u_v": self.u_v, "u_h": self.u_h, **self.others}
+        return {name: signal for name, signal in signals.items() if signal is not None}
 
     def init(self, setup: ControlSetup) -> OpenLoopState:
         """A fresh state.
@@ -84,9 +115,15 @@ class OpenLoop(PresentReference):
         model = setup.model
         inputs = names(model.inputs)
         lower, upper = model.input_bounds()
+        for name in self.others:
+            words = f"model {model.name!r} has no input {name!r}"
+            require_known(name, inputs, words, f"controller.{name}")
+        ratios = dict(zip(inputs, bench_ratios(model).inputs.tolist(), strict=True))
+        own = [name for name in inputs if name not in _ROTORS]
+        signals = fitted_signals(self._signals, _ROTORS, own, ratios.__getitem__)
         return OpenLoopState(
             setup.sample_time,
-            [getattr(self, name, None) for name in inputs],
+            [signals.get(name) for name in inputs],
             self._resting_command(setup),
             lower,
             upper,

@@ -49,11 +49,14 @@ from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.discretisation import noise_of_states
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import names
+from trms_cli.models.state_scales import bench_ratios
 
 WIDE = "the tube is wider than the limits leave room for: they are tightened by less"
 LEFT = "the estimate has left the tube: the nominal state starts again from it"
 #: Terms of h(g) at the most, and the share of the sum below which they no longer count.
 _MOST_TERMS, _ROUNDING = 20000, 1e-10
+#: Usual weight of an input in the feedback's cost, by the scale of a user's model.
+_FEEDBACK = 0.05
 #: Weight of every state in the feedback's cost, in typical sizes, as a share of the largest.
 _LEAST_WEIGHT = 1e-3
 
@@ -147,8 +150,8 @@ class TubeState(LinearMpcState):
         sizes = np.ones(len(A))
         sizes[: model.n_x] = typical_sizes(problem.discrete)
         states = np.zeros(len(A))
-        for name, weight in weights.states.items():
-            states[model.state_index(name)] = weight
+        for name in problem.horizon.weighted:
+            states[model.state_index(name)] = weights.states[name]
         states += _LEAST_WEIGHT * float((states * sizes**2).max()) / sizes**2
         change = A - np.eye(len(A))
         Q = np.diag(states)
@@ -156,8 +159,10 @@ class TubeState(LinearMpcState):
             row = change[model.state_index(name)] / problem.discrete.step_length
             Q += weights.rates[name] * np.outer(row, row)
         inputs = names(model.inputs)
-        check_names(self._tube.feedback_weights, inputs, "feedback_weights")
-        R = np.diag([self._tube.feedback_weights.get(name, 1.0) for name in inputs])
+        given = self._tube.feedback_weights
+        check_names(given, inputs, "feedback_weights")
+        usual = (1.0 if model.bench_sizes else _FEEDBACK) * bench_ratios(model).inputs ** -2.0
+        R = np.diag([given.get(n, weight) for n, weight in zip(inputs, usual, strict=True)])
         try:
             P = solve_discrete_are(A, B, Q, R)
             gain = -np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from itertools import cycle
@@ -139,15 +139,30 @@ class ReferenceTrajectory:
                 states = model.controlled if isinstance(signal, Mapping) else model.state_names
                 words = f"model {model.name!r} has no {name!r} that could follow a reference"
                 require_known(name, states, words, name)
-        usual = [self.signals[name] for name in AXES if name in self.axes]
-        complete = dict(self.signals)
-        missing = [name for name in model.controlled if name not in self.axes and name not in AXES]
-        for name, template in zip(missing, cycle(usual), strict=False):
-            given = dict(self.signals.get(name, {}))
-            template = given.pop("signal", template)
-            sized = in_proportion(template, usable_range(model, name))
-            complete[name] = _with_fields(sized, given, name)
-        return ReferenceTrajectory(shaping=self.shaping, **complete).restricted_to(model.controlled)
+        own = [name for name in model.controlled if name not in AXES]
+        signals = fitted_signals(self.signals, AXES, own, lambda name: usable_range(model, name))
+        return ReferenceTrajectory(shaping=self.shaping, **signals).restricted_to(model.controlled)
+
+
+def fitted_signals(
+    signals: Mapping[str, Any],
+    usual: Sequence[str],
+    own: Sequence[str],
+    ratio_of: Callable[[str], float],
+) -> dict[str, Any]:
+    """The signals, with one for each of a model's own names.
+
+    Where none is given it is that of one of the usual names, in their order, or what a mapping has
+    as ``signal``: its sizes times a ratio, and the other fields of the mapping as they are.
+    """
+    templates = [signals[name] for name in usual if name in signals]
+    complete = dict(signals)
+    missing = [name for name in own if isinstance(signals.get(name, {}), Mapping)]
+    for name, template in zip(missing, cycle(templates), strict=False):
+        given = dict(signals.get(name, {}))
+        template = given.pop("signal", template)
+        complete[name] = _with_fields(in_proportion(template, ratio_of(name)), given, name)
+    return complete
 
 
 def in_proportion(signal: Any, ratio: float) -> Any:

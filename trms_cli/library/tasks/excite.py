@@ -135,16 +135,13 @@ def _play(document: Mapping[str, Any], folder: Path, composition: Composition) -
 
 def playing(inputs: Sequence[str], table: str, *, has_angles: bool) -> list[str]:
     """Overrides of a run that plays the commands of a CSV; ``table``: its path, quoted."""
-    if len(inputs) == 2:
+    if list(inputs) == ["u_v", "u_h"]:
         play = ["controller=played", f"controller.u_v.file={table}"]
     else:
-        name = inputs[0]
-        play = [
-            "controller=open_loop",
-            f"signal@controller.{name}=from_csv",
-            f"controller.{name}.file={table}",
-            f"controller.{name}.column={name}",
-        ]
+        play = ["controller=open_loop"]
+        for name in inputs:
+            play.append(f"signal@controller.{name}=from_csv")
+            play += [f"controller.{name}.file={table}", f"controller.{name}.column={name}"]
     if not has_angles:  # a rotor alone: the references of a run are speeds
         play.insert(0, "ref=speed")
     return play

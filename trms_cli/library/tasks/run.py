@@ -250,8 +250,9 @@ def _time(score: Mapping[str, Any], experiment: Experiment, spent: float, whole:
 def _next(composition: Composition, experiment: Experiment, log: str) -> list[NextCommand]:
     """What to type next; the last with an override that would be interesting."""
     choices = composition.choices
-    if choices.get("plant") == "simulated" and not choices.get("effect"):
-        other = "effect=yaw_coulomb_friction"
+    axes = list(experiment.model.axes)
+    if axes and choices.get("plant") == "simulated" and not choices.get("effect"):
+        other = f"effect={axes[-1] if experiment.model.bench_sizes else axes[0]}_coulomb_friction"
     elif not _follows(experiment):
         other = "controller=pid"
     else:
