@@ -159,5 +159,5 @@ def test_a_wiring_that_makes_no_sense_is_refused(wires, where, words):
 
 def test_a_signal_that_no_rig_has_is_refused_with_the_nearest():
     with pytest.raises(ConfigurationError, match="no signal 'alpha_w'") as error:
-        check_wires({"alpha_w": Wire(channel=0, sign=1)}, "wiring")
+        check_wires({"alpha_w": Wire(channel=0, sign=1)}, "wiring", ("alpha_v", "u_v"))
     assert "did you mean alpha_" in error.value.remedy

@@ -145,7 +145,9 @@ def _exported(composition: Composition) -> Export:
             where="sim.duration",
             remedy=f"1 to {_MOST_SAMPLES} control periods of {period:g} s",
         )
-    plant = experiment.plant.init(PlantSetup(experiment.sample_time, 1, experiment.seed))
+    plant = experiment.plant.init(
+        PlantSetup(experiment.sample_time, 1, experiment.seed, experiment.model)
+    )
     if names(plant.inputs) != names(experiment.model.inputs):
         raise ConfigurationError(
             f"the rig takes {', '.join(names(plant.inputs))}, "

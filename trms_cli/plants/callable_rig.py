@@ -34,7 +34,6 @@ class CallableRig(HardwareRig):
     close: Any = None  #: ``close()``, after everything else, whatever went before
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         for name in _FUNCTIONS:
             self.function(name)
         for name, wire in self.wiring.items():

@@ -22,9 +22,10 @@ from trms_cli.plants.landing import ROTOR_COMMANDS, Landing
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors
 from trms_cli.plants.wiring import Wire, Wiring, check_wires
+from trms_cli.recordings.channels import STANDARD, Vocabulary
 
-#: Signals that can be wired, in their order.
-READINGS = ("alpha_v", "alpha_h", "omega_v", "omega_h")
+#: Signals of a twin rotor that can be wired, in their order.
+READINGS = tuple(STANDARD.of_role(STANDARD.channels, "output"))
 COMMANDS = ROTOR_COMMANDS
 
 
@@ -37,7 +38,7 @@ class RestCheck:
     """What a rig has to show before it is armed."""
 
     duration: NotNegative = 0.5  #: s, for which it is looked at; 0: not at all
-    #: rad, by which an angle may move meanwhile: more than that is not at rest
+    #: rad or m, by which an angle or position may move meanwhile: more than that is not at rest
     motion: Positive = 0.05
 
 
@@ -45,11 +46,12 @@ class RestCheck:
 class HardwareRig:
     """What every real rig's configuration holds."""
 
-    #: Wires by signal: readings alpha_v, alpha_h, omega_v, omega_h; commands u_v, u_h
+    #: Wires by signal: outputs and inputs of the model; of a twin rotor alpha_v, alpha_h, omega_v,
+    #: omega_h, and u_v, u_h
     wiring: Annotated[Mapping[str, Wire], Meta(min_length=1)]
     sensors: Sensors = field(default_factory=Sensors)  #: Declared noise and quanta of the readings
-    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)  #: Of commands, V
-    first_command: Mapping[str, float] = field(default_factory=dict)  #: V; ramped to before a run
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)  #: Of commands, SI
+    first_command: Mapping[str, float] = field(default_factory=dict)  #: SI; ramped to before a run
     landing: Landing = field(default_factory=lambda: Landing(hold=0.5))
     envelope: Envelope = field(default_factory=Envelope)
     rest: RestCheck = field(default_factory=RestCheck)
@@ -60,16 +62,6 @@ class HardwareRig:
     def real_time(self) -> bool:
         """A real rig does not wait."""
         return True
-
-    def __post_init__(self) -> None:
-        check_wires(self.wiring, "wiring")
-        for names, what in ((READINGS, "readings"), (COMMANDS, "commands")):
-            if not any(name in self.wiring for name in names):
-                raise ConfigurationError(
-                    f"no {what} are wired",
-                    where="wiring",
-                    remedy=f"a channel and a sign for at least one of {', '.join(names)}",
-                )
 
 
 class HardwareRun(ABC):
@@ -85,8 +77,21 @@ class HardwareRun(ABC):
 
     def __init__(self, rig: HardwareRig, setup: PlantSetup) -> None:
         self.rig, self._setup = rig, setup
-        self._readings = Wiring(rig.wiring, READINGS, "plant.wiring")
-        self._commands = Wiring(rig.wiring, COMMANDS, "plant.wiring")
+        vocabulary = STANDARD if setup.model is None else Vocabulary.of(setup.model)
+        where = "plant.wiring"
+        known = vocabulary.channels if vocabulary.origin == "standard" else vocabulary.needed
+        names = [vocabulary.of_role(known, role) for role in ("output", "input")]
+        check_wires(rig.wiring, where, [*names[1], *names[0]])
+        for own, what in zip(names, ("readings", "commands"), strict=True):
+            if not any(name in rig.wiring for name in own):
+                raise ConfigurationError(
+                    f"no {what} are wired",
+                    where=where,
+                    remedy=f"a channel and a sign for at least one of {', '.join(own)}",
+                )
+        self._readings, self._commands = (
+            Wiring(rig.wiring, own, where, vocabulary) for own in names
+        )
         self.outputs, self.inputs = self._readings.signals, self._commands.signals
         self.noise_sd = rig.sensors.declared_noise(self._readings.names)
         self.first_command = np.zeros(len(self.inputs))
@@ -147,10 +152,10 @@ class HardwareRun(ABC):
                     remedy="`trms rig check` shows what comes in; the wire's limit may be wrong",
                 )
             moved = float(np.ptp(column))
-            if signal.unit == "rad" and moved > rest.motion:
+            if signal.unit in ("rad", "m") and moved > rest.motion:
                 raise ConfigurationError(
-                    f"{signal.name} moved by {moved:.3g} rad in {rest.duration:g} s: the rig is "
-                    "not at rest",
+                    f"{signal.name} moved by {moved:.3g} {signal.unit} in {rest.duration:g} s: the "
+                    "rig is not at rest",
                     where="plant.rest.motion",
                     remedy="wait until it hangs still; plant.rest.duration=0 looks away",
                 )
@@ -176,7 +181,7 @@ class HardwareRun(ABC):
         return self._readings.values([raw[channel] for channel in self._readings.channels])
 
     def advance(self, command: FloatArray) -> None:
-        """Send a command (n_u,), V; one that is no number becomes the safe one."""
+        """Send a command (n_u,), SI; one that is no number becomes the safe one."""
         values = command.tolist()
         if not all(map(math.isfinite, values)):
             values = self._safe.tolist()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.models.model import Signal
+from trms_cli.models.model import Model, Signal
 
 
 @dataclass(frozen=True)
@@ -15,6 +15,9 @@ class PlantSetup:
     sample_time: float  #: Time between two measurements, s
     samples: int  #: Number of samples in the run
     seed: int  #: Of everything random in the plant
+    #: What controller and observer believe, which has the names and units of a real rig's signals;
+    #: None: those of a twin rotor
+    model: Model | None = None
 
 
 class PlantRun(Protocol):

@@ -14,7 +14,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import nearest
 from trms_cli.models.model import Signal
-from trms_cli.recordings.channels import CHANNELS, to_si
+from trms_cli.recordings.channels import STANDARD, Channel, Vocabulary, to_si
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +61,8 @@ class Wiring:
         The signals of the kind that is meant, in their order.
     where : str
         Of the wires in the configuration.
+    vocabulary : Vocabulary
+        What the signals are.
 
     Raises
     ------
@@ -69,7 +71,13 @@ class Wiring:
         of commands that has no inverse.
     """
 
-    def __init__(self, wires: Mapping[str, Wire], names: Sequence[str], where: str) -> None:
+    def __init__(
+        self,
+        wires: Mapping[str, Wire],
+        names: Sequence[str],
+        where: str,
+        vocabulary: Vocabulary = STANDARD,
+    ) -> None:
         self.names = tuple(name for name in names if name in wires)
         self._wires = [wires[name] for name in self.names]
         self.channels = [wire.channel for wire in self._wires]
@@ -81,16 +89,15 @@ class Wiring:
                     where=f"{where}.{self.names[i]}.channel",
                     remedy="each signal has a channel of its own",
                 )
-        self.signals = tuple(
-            Signal(name, CHANNELS[name].units[0], CHANNELS[name].description) for name in self.names
-        )
+        own = [vocabulary.channels[name] for name in self.names]
+        self.signals = tuple(Signal(c.name, c.units[0], c.description) for c in own)
         self._factors = [
-            wire.sign * _unit_factor(wire.unit, name, f"{where}.{name}.unit")
-            for name, wire in zip(self.names, self._wires, strict=True)
+            wire.sign * _unit_factor(wire.unit, c, f"{where}.{c.name}.unit")
+            for c, wire in zip(own, self._wires, strict=True)
         ]
-        for name, wire in zip(self.names, self._wires, strict=True):
-            values = [pair[1] for pair in wire.table]
-            if CHANNELS[name].role == "input" and any(a >= b for a, b in pairwise(values)):
+        for c, wire in zip(own, self._wires, strict=True):
+            name, values = c.name, [pair[1] for pair in wire.table]
+            if c.role == "input" and any(a >= b for a, b in pairwise(values)):
                 raise ConfigurationError(
                     "the values of a command's table do not increase, so it has no inverse",
                     where=f"{where}.{name}.table",
@@ -108,7 +115,7 @@ class Wiring:
         return values
 
     def raw(self, values: Sequence[float]) -> list[float]:
-        """What the interface gets for commands (n,) in V."""
+        """What the interface gets for commands (n,) in SI."""
         raw = []
         for value, wire, factor in zip(values, self._wires, self._factors, strict=True):
             if wire.limit is not None:
@@ -122,9 +129,8 @@ class Wiring:
         return np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
 
-def check_wires(wires: Mapping[str, Wire], where: str) -> None:
-    """Refuse a signal that no rig has; the nearest is told."""
-    allowed = [name for name, channel in CHANNELS.items() if channel.role in ("input", "output")]
+def check_wires(wires: Mapping[str, Wire], where: str, allowed: Sequence[str]) -> None:
+    """Refuse a signal that the rig does not have; the nearest is told."""
     for name in wires:
         if name not in allowed:
             raise ConfigurationError(
@@ -145,18 +151,19 @@ def zeroed(wire: Wire, name: str, raw: float, value: float) -> Wire:
             where=f"plant.wiring.{name}.table",
             remedy="shift the raw values of the table",
         )
-    factor = wire.sign * wire.scale * _unit_factor(wire.unit, name, f"plant.wiring.{name}.unit")
+    where = f"plant.wiring.{name}.unit"
+    factor = wire.sign * wire.scale * _unit_factor(wire.unit, STANDARD.channels[name], where)
     return replace(wire, offset=raw - value / factor)
 
 
-def _unit_factor(unit: str | None, name: str, where: str) -> float:
+def _unit_factor(unit: str | None, channel: Channel, where: str) -> float:
     """What one of a unit is in SI."""
     if not unit:
         return 1.0
     from trms_cli.core.errors import RecordingError
 
     try:
-        values, _ = to_si(np.ones(1), unit, CHANNELS[name].units, where=where, name=name)
+        values, _ = to_si(np.ones(1), unit, channel.units, where=where, name=channel.name)
     except RecordingError as error:
         error.problem = error.problem.replace("column ", "")
         raise ConfigurationError(error.problem, where=where, remedy=error.remedy) from None

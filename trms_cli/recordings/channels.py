@@ -107,9 +107,9 @@ class Vocabulary:
         """
         columns = columns or {}
         inputs = [signal.name for signal in model.inputs]
-        own = [*inputs, *(signal.name for signal in model.outputs)]
+        outputs = [*(outputs or (signal.name for signal in model.outputs))]
         vocabulary = STANDARD
-        if any(name not in CHANNELS for name in own):
+        if any(s.name not in CHANNELS for s in (*model.inputs, *model.outputs)):
             # a command that is recorded in shares, or as what an amplifier gets, is scaled
             channels = {
                 s.name: Channel(
@@ -130,7 +130,7 @@ class Vocabulary:
                     where=f"plant.names.{name}",
                     remedy="each signal has a column of its own",
                 )
-        return replace(vocabulary, columns=columns, needed=(*inputs, *(outputs or own)))
+        return replace(vocabulary, columns=columns, needed=(*inputs, *outputs))
 
     @classmethod
     def of_roles(cls, roles: Mapping[str, str]) -> Vocabulary:

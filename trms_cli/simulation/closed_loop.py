@@ -201,7 +201,7 @@ class Loop:
         # a real rig is ramped into the run as well
         ramps = landing.samples(farthest_command(e.model), e.sample_time)
         around = ramps * landing.after_run * (1 + e.in_real_time)
-        plant = e.plant.init(PlantSetup(e.sample_time, e.samples + around, e.seed))
+        plant = e.plant.init(PlantSetup(e.sample_time, e.samples + around, e.seed, e.model))
         check_run(plant)
         inputs, outputs = names(plant.inputs), names(plant.outputs)
         if inputs != names(e.model.inputs):

@@ -507,7 +507,7 @@ def _request(composition: Composition) -> _Request:
             remedy="effects that are known already belong to the model: model=FILE.yaml",
         )
     check_contract(plant, "plant")
-    setup = PlantSetup(options.sample_time, round(options.first / options.sample_time), 0)
+    setup = PlantSetup(options.sample_time, round(options.first / options.sample_time), 0, model)
     lower, upper = plant.init(setup).input_limits
     own_lower, own_upper = model.input_bounds()
     limits = RigLimits(

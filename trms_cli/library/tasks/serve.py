@@ -66,7 +66,8 @@ def perform(composition: Composition) -> int:
         if truth is not None:
             truth.close()
     command = ", ".join(
-        f"{name} {value:g} V" for name, value in zip(names(run.inputs), rig.command, strict=True)
+        f"{signal.name} {value:g} {signal.unit}"
+        for signal, value in zip(run.inputs, rig.command, strict=True)
     )
     _say(
         rig.time, f"ended; {rig.commands} commands applied, {rig.refused} frames refused; {command}"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.ranges import Positive
-from trms_cli.plants.hardware import COMMANDS, READINGS, HardwareRig, HardwareRun, RigLost
+from trms_cli.plants.hardware import HardwareRig, HardwareRun, RigLost
 from trms_cli.plants.link.frames import SEQUENCE_RANGE, BadFrame, Frame, Kind, RigStatus, decode
 from trms_cli.plants.link.transport import Transport
 from trms_cli.plants.plant import PlantSetup
@@ -27,22 +27,6 @@ class LinkedRig(HardwareRig):
     reply_timeout: Positive | None = None
     watchdog: Positive = 0.1  #: s without a command, after which the rig lands by itself
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for names in (READINGS, COMMANDS):
-            count = sum(name in self.wiring for name in names)
-            for name in names:
-                wire = self.wiring.get(name)
-                if wire is not None and not (
-                    isinstance(wire.channel, int) and 0 <= wire.channel < 64
-                ):
-                    raise ConfigurationError(
-                        f"{wire.channel!r} given",
-                        where=f"wiring.{name}.channel",
-                        remedy=f"the number's position in a frame, from 0: 0 to {count - 1} "
-                        f"for {count} of them",
-                    )
-
 
 class LinkedRun(HardwareRun):
     """Such a rig during one run.
@@ -54,6 +38,16 @@ class LinkedRun(HardwareRun):
 
     def __init__(self, rig: LinkedRig, setup: PlantSetup) -> None:
         super().__init__(rig, setup)
+        for kind in (self._readings, self._commands):
+            for name, channel in zip(kind.names, kind.channels, strict=True):
+                if not (isinstance(channel, int) and 0 <= channel < 64):
+                    count = len(kind.names)
+                    raise ConfigurationError(
+                        f"{channel!r} given",
+                        where=f"plant.wiring.{name}.channel",
+                        remedy=f"the number's position in a frame, from 0: 0 to {count - 1} "
+                        f"for {count} of them",
+                    )
         if rig.watchdog < 2 * setup.sample_time:
             raise ConfigurationError(
                 f"{rig.watchdog:g} s given, and commands come every {setup.sample_time:g} s",

@@ -24,6 +24,7 @@ from trms_cli.plants.link.frames import (
     decode,
     is_newer,
 )
+from trms_cli.recordings.channels import CHANNELS
 
 
 class ServedRig:
@@ -63,7 +64,9 @@ class ServedRig:
         self.commands = 0  #: Commands that were applied
         self.refused = 0  #: Frames that were none, of another session, old, or not to be obeyed
         # the order of the numbers in a frame; a rig that lacks one leaves it out
-        order = [name for name in READINGS if name in names(run.outputs)]
+        own = names(run.outputs)
+        order = [name for name in READINGS if name in own]
+        order += [name for name in own if name not in CHANNELS]
         self._order = [names(run.outputs).index(name) for name in order]
         self._low, self._high = run.input_limits
         self._steps = 0
