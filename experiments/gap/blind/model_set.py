@@ -159,7 +159,7 @@ class RigSource:
     @property
     def poles(self) -> npt.NDArray[np.complex128]:
         """Of the linearisation at rest, 1/s."""
-        poles: npt.NDArray[np.complex128] = np.linalg.eigvals(_linearised(self.model)[0])
+        poles = np.linalg.eigvals(_linearised(self.model)[0]).astype(np.complex128)
         return poles
 
     @property
@@ -197,7 +197,7 @@ class RigSource:
                     outside |= np.abs(rigs.x[row]) > _NEAR_STOP * limit
                 far = np.minimum(far, np.where(outside, k, longest))
                 rigs.x[:, far < longest] = self.model.rest()[:, None]
-        time = sample_time * np.arange(longest)
+        time = sample_time * np.arange(longest, dtype=np.float64)
         return [
             Recording(time[:n], commands[i, :n], measured[i, :n]) if far[i] >= n else None
             for i, n in enumerate(samples)
