@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.identification.loop_state import find_loop
+from trms_cli.identification.rotor_delays import estimate_delays
 from trms_cli.recordings.preparation import (
     Preparation,
     fill_gaps,
@@ -15,7 +17,7 @@ from trms_cli.recordings.preparation import (
     split_at_gaps,
 )
 from trms_cli.recordings.recording import Recording
-from trms_cli.recordings.summary import estimate_delays, outliers, summarise
+from trms_cli.recordings.summary import outliers, summarise
 
 from .played_rig import BENCH, STEP, play
 
@@ -196,14 +198,14 @@ class TestLoop:
     @pytest.mark.parametrize("seed", range(2))
     @pytest.mark.parametrize("kind", ["prbs", "multilevel", "multisine", "closed"])
     def test_a_controller_is_noticed_where_there_is_one(self, kind, seed):
-        loop = summarise(play(kind, seed=seed, prior_seed=seed)).loop
+        loop = find_loop(play(kind, seed=seed, prior_seed=seed))
         assert loop.state == ("closed" if kind == "closed" else "open")
 
     def test_what_the_recording_says_wins_and_too_little_is_not_told(self):
         recording = play("closed", duration=20.0)
-        loop = summarise(replace(recording, metadata={"loop": "open"})).loop
+        loop = find_loop(replace(recording, metadata={"loop": "open"}))
         assert loop.declared and loop.state == "open" and max(loop.answered.values()) > 0.1
-        assert summarise(made(np.arange(50) * 0.02)).loop.state == "unknown"
+        assert find_loop(made(np.arange(50) * 0.02)).state == "unknown"
 
 
 class TestFindings:

@@ -68,6 +68,8 @@ def main(argv: list[str]) -> int:
     arguments = options.parse_args(argv)
 
     from trms_cli.core.errors import RecordingError
+    from trms_cli.identification.loop_state import find_loop
+    from trms_cli.identification.rotor_delays import estimate_delays
     from trms_cli.recordings.mcap_recording import sha256_of, write_mcap
     from trms_cli.recordings.read import read_recording
     from trms_cli.recordings.summary import summarise
@@ -101,7 +103,8 @@ def main(argv: list[str]) -> int:
             run_metadata["preparation"] = "; ".join(remarks)
         write_mcap(part, path, run_metadata, force=arguments.force)
 
-    document = _document(recording, summary, arguments.file, logs, sha256)
+    delays, loop = estimate_delays(recording), find_loop(recording)
+    document = _document(recording, summary, delays, loop, arguments.file, logs, sha256)
     document["preparation"] = [
         {"log": str(path), "samples": len(part), "sample_time_s": part.sample_time, "done": remarks}
         for part, path, remarks in zip(parts, logs, preparation_remarks, strict=True)
@@ -186,7 +189,13 @@ def _prepared(preparation: Any, recording: Any) -> list[Any]:
 
 
 def _document(
-    recording: Any, summary: Any, file: Path, logs: list[Path], sha256: str
+    recording: Any,
+    summary: Any,
+    delays: list[Any],
+    loop: Any,
+    file: Path,
+    logs: list[Path],
+    sha256: str,
 ) -> dict[str, Any]:
     """Return the JSON twin of what is printed, in SI units."""
     channels = {}
@@ -194,7 +203,12 @@ def _document(
         figures = asdict(channel)
         ends = {"min": figures.pop("minimum"), "max": figures.pop("maximum")}
         channels[name] = {"unit": recording.units[name], **ends, **figures}
-    delays = [
+    sentences = [
+        *(*recording.notes(), *summary.sentences),
+        *(delay.sentence() for delay in delays if delay.clear),
+        loop.sentence(),
+    ]
+    table = [
         {
             "cause": delay.cause,
             "effect": delay.effect,
@@ -203,7 +217,7 @@ def _document(
             "explained": delay.explained,
             "clear": delay.clear,
         }
-        for delay in summary.delays
+        for delay in delays
     ]
     return {
         "schema": "trms.import/1",
@@ -220,9 +234,9 @@ def _document(
         "rate_hz": 1 / recording.sample_time,
         "gaps": [{"start_s": start, "end_s": end} for start, end in recording.gaps],
         "channels": channels,
-        "delays": delays,
-        "loop": asdict(summary.loop),
-        "notes": [*recording.notes(), *summary.sentences],
+        "delays": table,
+        "loop": asdict(loop),
+        "notes": sentences,
     }
 
 

@@ -110,16 +110,12 @@ class Vocabulary:
         outputs = [*(outputs or (signal.name for signal in model.outputs))]
         vocabulary = STANDARD
         if any(s.name not in CHANNELS for s in (*model.inputs, *model.outputs)):
-            # a command that is recorded in shares, or as what an amplifier gets, is scaled
-            channels = {
-                s.name: Channel(
-                    s.name, "input", tuple(dict.fromkeys((s.unit, *_COMMAND))), s.description
-                )
-                for s in model.inputs
-            }
-            for s in (*model.outputs, *model.states):
-                channels.setdefault(s.name, Channel(s.name, "output", (s.unit,), s.description))
-            vocabulary = cls(channels, "model")
+            measurable = (*model.states, *model.outputs)
+            channels = [Channel(s.name, "output", (s.unit,), s.description) for s in measurable]
+            for s in model.inputs:  # recorded as a share, or as the amplifier's volts, it is scaled
+                units = tuple(dict.fromkeys((s.unit, *_COMMAND)))
+                channels.append(Channel(s.name, "input", units, s.description))
+            vocabulary = cls({channel.name: channel for channel in channels}, "model")
         for name, column in columns.items():
             if name != "t" and vocabulary.find(name) is None:
                 problem = f"the model has no signal {name!r}; names are {{SIGNAL: COLUMN}}"
@@ -135,7 +131,7 @@ class Vocabulary:
     @classmethod
     def of_roles(cls, roles: Mapping[str, str]) -> Vocabulary:
         """The standard names and others, by their roles."""
-        others = {name: Channel(name, role) for name, role in roles.items() if name not in CHANNELS}
+        others = {n: Channel(n, role) for n, role in roles.items() if STANDARD.find(n) is None}
         return cls({**others, **CHANNELS}, "file") if others else STANDARD
 
     @classmethod

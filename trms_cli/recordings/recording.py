@@ -118,7 +118,8 @@ class Recording:
             lines.append(f"{name}: {count} of {len(self)} samples missing")
         for name in self.names("output"):
             largest = float(np.nanmax(np.abs(self.channels[name]), initial=0.0))
-            if self.units[name] == "rad" and largest > FULL_TURN:
+            bench = self.vocabulary.origin == "standard"
+            if bench and self.units[name] == "rad" and largest > FULL_TURN:
                 lines.append(
                     f"{name} reaches {largest:.4g} rad ({np.degrees(largest):.4g}°), more than a "
                     "full turn, which no rig of this kind makes: is its unit right?"
