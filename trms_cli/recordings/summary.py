@@ -3,7 +3,9 @@
 Outliers are samples of a measured channel that neither neighbour leads to. A Hampel filter (running
 median, and a robust measure of what is usual around; Pearson 2002) finds candidates. A rotor that
 turns round within one sample has such a peak too, but both slopes lead up to it, so a candidate
-counts only if it lies off the straight lines of both sides.
+counts only if it lies off the straight lines of both sides. So has a fast motion with hardly any
+noise where it turns: a candidate has to be off the cubic through both sides as well, by more than
+others are.
 """
 
 from collections.abc import Callable
@@ -22,6 +24,8 @@ THRESHOLD = 6.0
 #: The share of samples that is usual, and the quantile of it over a normal's deviation. Higher
 #: than a median, so that a rotor that turns round at every tenth sample sets the scale.
 _USUAL_PERCENT, _QUANTILE_TO_SD = 90, 1 / 1.645
+#: A sample less the cubic through two samples on each side of it.
+_OFF_CUBIC = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6
 
 
 def outliers(values: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
@@ -49,6 +53,8 @@ def outliers(values: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
         1e-9 * float(np.ptp(y)),
     )
     limit = threshold * _QUANTILE_TO_SD * np.maximum(usual, floor)
+    smooth = np.abs(np.convolve(y, _OFF_CUBIC, mode="valid"))
+    bend = threshold / 2 * _QUANTILE_TO_SD * float(np.percentile(smooth, _USUAL_PERCENT))
     work = y.copy()
     candidates = set(np.flatnonzero(off > limit).tolist())
     # The farthest first: the median beside a spike is off as well, until the spike is mended.
@@ -57,7 +63,7 @@ def outliers(values: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
         if abs(work[k] - float(np.median(around))) <= limit[k]:
             continue
         run = _run_around(work, k, candidates, limit[k])
-        if run is not None:
+        if run is not None and _off_cubic(work, run) > bend:
             is_outlier[there[run.start : run.stop]] = True
             sides = [i for i in (run.start - 1, run.stop) if 0 <= i < len(y)]
             work[run.start : run.stop] = np.interp(run, sides, work[sides])
@@ -72,6 +78,16 @@ def _run_around(y: np.ndarray, k: int, candidates: set[int], limit: float) -> ra
             if candidates.issuperset(run) and _stands_apart(y, run, limit):
                 return run
     return None
+
+
+def _off_cubic(y: np.ndarray, run: range) -> float:
+    """How far a run is off the cubic through two samples on each side; infinite at an end."""
+    sides = [run.start - 2, run.start - 1, run.stop, run.stop + 1]
+    if sides[0] < 0 or sides[-1] >= len(y):
+        return np.inf
+    centre = run.start
+    cubic = np.polyfit([i - centre for i in sides], y[sides], 3)
+    return float(np.max(np.abs(y[run] - np.polyval(cubic, [k - centre for k in run]))))
 
 
 def _stands_apart(y: np.ndarray, run: range, limit: float) -> bool:
