@@ -26,7 +26,7 @@ SIGNALS = MappingProxyType(
 )
 _LETTERS = MappingProxyType({"alpha": "α", "omega": "ω", "tau": "τ", "psi": "ψ", "phi": "φ"})
 #: Units in which figures of this rig have few digits, and the factors to them.
-_SMALL_UNITS = {"rad": ("mrad", 1e3), "N*m": ("mN*m", 1e3), "N": ("mN", 1e3)}
+_SMALL_UNITS = {u: (f"m{u}", 1e3) for u in ("rad", "N*m", "N", "m")}
 _SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _PROPER = (("coulomb", "Coulomb"), ("stribeck", "Stribeck"))
 

@@ -23,12 +23,11 @@ import casadi as ca
 from msgspec import Meta
 
 from trms_cli.effects.effect import Effect, EffectContext, axis_of, require_quantities, speed_row
+from trms_cli.models.beam_rig import AXES, ROTORS, USUAL_SPANS
 from trms_cli.models.dry_friction import moment_index
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
 
-#: The rotor whose thrust turns an axis, and the speed ω₀ at which another exponent changes nothing.
-_ROTORS = {"pitch": ("main", 200.0), "yaw": ("tail", 300.0)}
 #: rad/s. Ω₀; below these shares of Ω₀ and ω₀ an exponent no longer changes anything.
 _USUAL_RATE, _LEAST_RATE, _LEAST_SPEED = 0.3, 3e-3, 3e-3
 
@@ -49,11 +48,17 @@ class ModelForm(Effect):
     inertia: Departure = 0.0  #: i, share by which the moment of inertia is larger
 
     @property
+    def rotor(self) -> str:
+        """The rotor whose thrust turns the axis; empty: none of a beam's does."""
+        turning = (name for name, rotor in ROTORS.items() if rotor.axis == self.axis)
+        return next(turning, "")
+
+    @property
     def locations(self) -> tuple[str, ...]:
         return (f"{self.axis}_moment",)
 
     def parameters(self) -> tuple[Parameter, ...]:
-        usual, axis, rotor = (-0.1, 0.1), self.axis, _ROTORS[self.axis][0]
+        usual, axis, rotor = (-0.1, 0.1), self.axis, self.rotor
         return (
             self.size("damping", "1", usual, f"exponent of {axis} damping, beyond the model's"),
             self.size("thrust", "1", usual, f"exponent of {rotor} thrust, beyond the model's"),
@@ -62,14 +67,14 @@ class ModelForm(Effect):
         )
 
     def check(self, model: Model) -> None:
-        rotor, _ = _ROTORS[self.axis]
         axis_of(model, self.axis)
         moment_index(model, self.axis)
-        speed_row(model, rotor)
-        require_quantities(model, f"thrust_{rotor}", f"arm_{rotor}")
+        speed_row(model, self.rotor)
+        require_quantities(model, f"thrust_{self.rotor}", f"arm_{self.rotor}")
 
     def disturbance(self, at: EffectContext) -> ca.SX:
-        sizes, (rotor, usual_speed) = at.sizes, _ROTORS[self.axis]
+        sizes, rotor = at.sizes, self.rotor
+        usual_speed = USUAL_SPANS[f"{rotor}_speed"][1]  # ω₀, where another exponent changes nothing
         moment, in_rate, in_angle = _own_laws(at, self.axis)
         rate, angle = at.rate(self.axis), at.angle(self.axis)
         thrust = at.quantity(f"arm_{rotor}") * at.quantity(f"thrust_{rotor}")
@@ -114,7 +119,4 @@ def _own_laws(at: EffectContext, axis: str) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 
 #: The laws of both axes, as the model has them.
-MODEL_FORM: Mapping[str, ModelForm] = {
-    "pitch_model_form": ModelForm(axis="pitch"),
-    "yaw_model_form": ModelForm(axis="yaw"),
-}
+MODEL_FORM: Mapping[str, ModelForm] = {f"{axis}_model_form": ModelForm(axis=axis) for axis in AXES}

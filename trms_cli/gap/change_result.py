@@ -29,12 +29,13 @@ from trms_cli.gap.moved_parameters import WORTH_TELLING, change_in_words
 from trms_cli.gap.problem import (
     GapProblem,
     diagnosed_recordings,
-    mean_pitch,
+    mean_tilt,
     poor_excitation,
 )
-from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
+from trms_cli.gap.shrinkage import Shrinkage
 from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
 from trms_cli.models.rig_parts import diagram_rows, parts_of
+from trms_cli.models.scales import port_scale
 
 #: Probability from which a verdict is given, below which an effect's part is not told, and below
 #: which a cause is left out.
@@ -90,7 +91,7 @@ def change_result(problem: GapProblem, comparison: StateComparison) -> Diagnosis
         worse=shrinkage.worse if shrinkage else (),
         next_experiment=_next(problem, comparison) if changed and problem.advise else None,
         inclusion=_inclusion(comparison),
-        moved=_moved_parameters(comparison, mean_pitch(problem.datasets)),
+        moved=_moved_parameters(comparison, mean_tilt(problem.model, problem.datasets)),
         rejected=_rejected(comparison),
         excitation=poor_excitation(problem.model, problem.datasets),
         sentence=change_sentence(comparison, verdict, _baseline_words(problem, ended), shrinkage),
@@ -263,7 +264,7 @@ def _confusable(comparison: StateComparison) -> tuple[tuple[str, ...], ...]:
     return (unique,) if len(unique) > 1 else ()
 
 
-#: rad, between the angle that was held and each of the two to hold next; s, at each of them.
+#: Travels, rad on small benches, between what was held and the two to hold next; s, at each.
 _ANGLE_STEP, _HOLD_TIME = 0.2, 10.0
 #: Differences that pull a held axis steadily; frictions are alike for other reasons.
 _STEADY = ("_disturbance", "_mass_imbalance", "parameters_only")
@@ -286,13 +287,17 @@ def _next(problem: GapProblem, comparison: StateComparison) -> NextExperiment | 
     if not angles:
         return None
     hold_angle = float(np.nanmedian(np.concatenate(angles)))
-    words = [f"ref.{angle}.amplitude={_ANGLE_STEP:g}", f"ref.{angle}.offset={hold_angle:.2f}"]
+    parts = parts_of(problem.model)
+    axis = parts.axis_at(places[0])
+    unit, travel = parts.unit(axis), port_scale(problem.model, axis=axis).travel
+    step = float(f"{_ANGLE_STEP * travel:.2g}")
+    words = [f"ref.{angle}.amplitude={step:g}", f"ref.{angle}.offset={hold_angle:.2f}"]
     words += [f"ref.{angle}.frequency={0.5 / _HOLD_TIME:g}"]
     words += [f"ref.{other}.amplitude=0" for other in moments.values() if other != angle]
     return NextExperiment(
         why=f"{listing([readable(name) for name in groups[0]])} are one where {readable(angle)} is "
-        f"held at {hold_angle:.2f} rad: held at {hold_angle - _ANGLE_STEP:.2f} and "
-        f"{hold_angle + _ANGLE_STEP:.2f} rad, {_HOLD_TIME:g} s each, a constant torque, a weight "
+        f"held at {hold_angle:.2f} {unit}: held at {hold_angle - step:.2f} and "
+        f"{hold_angle + step:.2f} {unit}, {_HOLD_TIME:g} s each, a constant torque, a weight "
         "and a gain differ; record it on the rig, and compare it with the same recordings",
         command=f"trms run model={problem.model_name} controller=newton_mpc ref=square "
         f"{' '.join(words)} sim.duration=80",
@@ -309,7 +314,7 @@ def _inclusion(comparison: StateComparison) -> dict[str, float]:
     }
 
 
-def _moved_parameters(comparison: StateComparison, pitch: float) -> tuple[MovedParameter, ...]:
+def _moved_parameters(comparison: StateComparison, tilt: float) -> tuple[MovedParameter, ...]:
     rows = [
         (j, float(p))
         for j, p in zip(comparison.judged, comparison.probabilities, strict=True)
@@ -331,7 +336,7 @@ def _moved_parameters(comparison: StateComparison, pitch: float) -> tuple[MovedP
                 change=change,
                 sd=sd,
                 unit=j.difference.units[0],
-                words=change_in_words(model, model.parameters[name], change, pitch, sd),
+                words=change_in_words(model, model.parameters[name], change, tilt, sd),
             )
         )
     return tuple(sorted(parameters, key=lambda m: -m.probability))
@@ -449,9 +454,10 @@ def change_sentence(
         return (
             f"These recordings do not decide what changed. Likeliest: {text[0].lower()}{text[1:]}."
         )
-    shrink = shrinkage.shrink["all"].get(TOLD_AT) if shrinkage else None
+    shrink = shrinkage.shrink["all"].get(shrinkage.told_at) if shrinkage else None
     if shrink is not None and shrink.fraction is not None and shrink.fraction > 0:
-        share_text = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s", ELSEWHERE)
+        of = f"of the gap at {float(shrinkage.told_at):g} s" if shrinkage else ""
+        share_text = gap_share(shrink.fraction, shrink.ci95, of, ELSEWHERE)
         text += f". Sized without the last part, it closes there {share_text}"
     return f"{text}."
 

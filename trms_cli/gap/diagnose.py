@@ -27,6 +27,7 @@ from trms_cli.gap.residuals import innovation_tests, locate, smoothed_forces
 from trms_cli.gap.shrinkage import SealedRuns, sealed_comparison
 from trms_cli.gap.signatures import EffectTraces, effect_traces, project_traces
 from trms_cli.identification.problem import Progress, SilentProgress
+from trms_cli.models.scales import longest_run
 
 #: Where on the way each stage begins, as a share of the whole.
 _BEGINS = {
@@ -96,6 +97,8 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     progress asks to stop; what is finished has been saved with it.
     """
     watch = _Watch(progress or SilentProgress())
+    # what falls over is predicted again and again over short times
+    problem = replace(problem, block=min(problem.block, longest_run(problem.model)))
     if problem.against:
         from trms_cli.gap.change import compare
         from trms_cli.gap.change_result import change_result

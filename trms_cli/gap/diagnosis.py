@@ -192,6 +192,11 @@ class Gap:
     floor: float  #: what a right model would leave
     unit: str  #: SI
 
+    @property
+    def is_worse(self) -> bool:
+        """Whether the correction makes it so."""
+        return self.corrected > WORSE * self.refit
+
 
 @dataclass(frozen=True, kw_only=True)
 class Shrink:

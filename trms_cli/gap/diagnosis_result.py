@@ -42,14 +42,14 @@ from trms_cli.gap.problem import (
     GapProblem,
     Parts,
     diagnosed_recordings,
-    mean_pitch,
+    mean_tilt,
     poor_excitation,
 )
 from trms_cli.gap.race import Race
 from trms_cli.gap.rejection import inclusion, rejected_effects
 from trms_cli.gap.residuals import Location, smoothed_forces
 from trms_cli.gap.sentence import LEAST_ALIKE, sentence
-from trms_cli.gap.shrinkage import TOLD_AT, SealedComparison
+from trms_cli.gap.shrinkage import SealedComparison
 from trms_cli.gap.signatures import VISIBLE, Signatures
 from trms_cli.gap.wording import place_name
 from trms_cli.identification.free_runs import simulated_windows
@@ -276,7 +276,7 @@ def _moved_parameters(stages: StageResults) -> tuple[MovedParameter, ...]:
     likely = posterior.probabilities.get(("parameters_only",), 0.0)
     if posterior.verdict != "parameters_only" and likely < WORTH_TELLING:
         return ()
-    about = mean_pitch(problem.datasets)
+    about = mean_tilt(problem.model, problem.datasets)
     return moved_parameters(stages.race.refit, problem.model, about, problem.seed)
 
 
@@ -381,10 +381,10 @@ def _remarks(stages: StageResults) -> tuple[str, ...]:
             f"the refit had to move {moves} standard deviations of what was known: rather "
             "proxies of what is missing than an explanation"
         )
-    return (*remarks, *proxies, *_withdrawn(stages.posterior))
+    return (*remarks, *proxies, *_withdrawn(stages.posterior, stages.sealed.shrinkage.told_at))
 
 
-def _withdrawn(posterior: Posterior) -> tuple[str, ...]:
+def _withdrawn(posterior: Posterior, horizon: str) -> tuple[str, ...]:
     """Why the corrected model has nothing in the place of a law that has no name."""
     flexible = proposed_stand_in(posterior.verdict, posterior.flexible)
     if flexible is None or posterior.stand_in is not None:
@@ -392,7 +392,7 @@ def _withdrawn(posterior: Posterior) -> tuple[str, ...]:
     return (
         f"a force that depends on the motion foretells {100 * flexible.foretold:.0f} % of what is "
         f"missing in the {place_name(flexible.location)}, but a model with it errs more over "
-        f"{float(TOLD_AT):g} s on the data kept aside than one without it: it is left out",
+        f"{float(horizon):g} s on the data kept aside than one without it: it is left out",
     )
 
 

@@ -31,6 +31,7 @@ from trms_cli.effects.places import actuator_place, sensor_place
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
+from trms_cli.models.scales import port_scale
 from trms_cli.simulation.rollout import LONGEST_STEP
 
 
@@ -312,8 +313,10 @@ class TrajectoryLinearisation:
         return Trajectory(*(np.zeros((m, c, *size)) for size in sizes))
 
 
-#: s. Time over which a discrepancy forgets itself.
-CORRELATION_TIME = 0.5
+#: Time over which a discrepancy forgets itself, over that of the model's dynamics.
+_CORRELATION_TIMES = 1.0
+#: Samples that it remembers at least.
+_FEWEST = 2
 
 
 @dataclass(frozen=True)
@@ -364,7 +367,8 @@ class Discrepancy:
     @cached_property
     def autocorrelation(self) -> FloatArray:
         """Factor of each force from one sample to the next, (n_d,)."""
-        factor = np.exp(-self.windows.sample_time / CORRELATION_TIME)
+        time = _CORRELATION_TIMES * port_scale(self.windows.problem.model.without_effects()).time
+        factor = np.exp(-self.windows.sample_time / max(time, _FEWEST * self.windows.sample_time))
         return np.full(len(self.channels), factor)
 
     @cached_property

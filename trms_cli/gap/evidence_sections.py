@@ -10,7 +10,6 @@ from trms_cli.core import wording
 from trms_cli.gap.diagnosis import (
     LEAST,
     NO_EFFECT,
-    WORSE,
     DiagnosisResult,
     FittedParameter,
     GapTest,
@@ -320,7 +319,7 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, report.Cell]]:
     for channel, gaps in diagnosis.gap.items():
         for horizon, gap in gaps.items():
             unit, scale = wording.small_unit(gap.unit)
-            mark: report.Judgement = "bad" if gap.corrected > WORSE * gap.refit else ""
+            mark: report.Judgement = "bad" if gap.is_worse else ""
             yield {
                 "output": wording.with_unit(wording.signal(channel), unit),
                 _LENGTH: f"{float(horizon):g}",

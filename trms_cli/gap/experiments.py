@@ -5,11 +5,12 @@ Each is a command that can be typed, as large as the simulated rig stays clear o
 
 import shlex
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
+from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
 from trms_cli.gap.diagnosis import OpenLoopExperiment
@@ -18,7 +19,9 @@ from trms_cli.identification.excitation.excitation import ExcitationPlugin, Plan
 from trms_cli.identification.excitation.multilevel import MultilevelExcitation
 from trms_cli.identification.excitation.multisine import MultisineExcitation
 from trms_cli.identification.excitation.prbs import PrbsExcitation
+from trms_cli.models.beam_rig import ROTORS
 from trms_cli.models.model import Model, names
+from trms_cli.models.scales import longest_run, port_scale
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.references.sawtooth import Sawtooth
 from trms_cli.references.signal import ReferenceSignal
@@ -29,7 +32,7 @@ from trms_cli.simulation.rollout import Rollout
 DURATION, LEAD_IN = 32.0, 8.0
 #: Share of the inputs' limits that is used, and of the stops: ``trms excite`` takes 0.8 of both.
 _OF_INPUTS, _OF_STOPS = 0.8, 0.72
-#: rad, for an axis without a stop; ``trms excite`` takes 1.5.
+#: Travels of an axis without a stop, rad on small benches; ``trms excite`` takes 1.5.
 _WITHOUT_STOP = 1.35
 #: Shares of the largest amplitude that are tried.
 _SHARES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05)
@@ -79,7 +82,7 @@ _DESIGNED: tuple[tuple[str, str, ExcitationPlugin, bool], ...] = (
 _SMALL_HOLD = 0.88
 #: Shares of a rotor's largest amplitude that are tried for these.
 _SMALL_SHARES = (0.2, 0.4)
-#: Played by ``trms run controller=open_loop``; by main rotor and tail rotor.
+#: Played by ``trms run controller=open_loop``; by the first rotor of a beam and the other.
 _PLAYED: tuple[tuple[str, _Wave, _Wave], ...] = (
     (
         "steps through zero while the rotors still turn",
@@ -116,6 +119,8 @@ def experiments(
     ``load``: whether a long load is among them. ``rest``: whether those are in which an axis often
     comes to rest. ``seed``: of what is drawn.
     """
+    if np.isfinite(longest_run(rollout.model)):
+        return  # it falls over at any amplitude
     trial = _Trial(rollout, parameters)
     yield from _designed_experiments(trial, sample_time, model_name, rest=rest, seed=seed)
     yield from _played_experiments(
@@ -130,15 +135,13 @@ class _Trial:
         self.rollout, self.parameters = rollout, parameters
         self.model: Model = rollout.model
         outputs = names(self.model.outputs)
-        self.angles = [
-            name
-            for name in self.model.controlled
-            if name in outputs and self.model.outputs[outputs.index(name)].unit == "rad"
-        ]
+        turned = {own.angle: axis for axis, own in self.model.axes.items()}
+        self.angles = [name for name in self.model.controlled if name in outputs and name in turned]
         self._columns = [outputs.index(name) for name in self.angles]
         stops = np.array([float(self.model.stops.get(name, np.inf)) for name in self.angles])
-        self._stops = np.where(np.isfinite(stops), stops, 4 * np.pi)
-        self._bounds = np.where(np.isfinite(stops), _OF_STOPS * stops, _WITHOUT_STOP)
+        travels = np.array([port_scale(self.model, axis=turned[n]).travel for n in self.angles])
+        self._stops = np.where(np.isfinite(stops), stops, 4 * np.pi * travels)
+        self._bounds = np.where(np.isfinite(stops), _OF_STOPS * stops, _WITHOUT_STOP * travels)
 
     def fit(self, commands: Sequence[FloatArray], first: int) -> list[bool]:
         """Which of some commands (n, n_u) keep the angles in bounds, from ``first`` on."""
@@ -172,7 +175,7 @@ class _Trial:
         amplitudes = best([_round_amplitudes(share * room) for share in _SHARES])
         if amplitudes is None or len(room) < 2:
             return amplitudes
-        for i in reversed(range(len(room))):  # the tail rotor's axis is the freer one
+        for i in reversed(range(len(room))):  # the axis of a beam's last rotor is the freer one
             larger = []
             for share in _SHARES:
                 trial = amplitudes.copy()
@@ -207,6 +210,8 @@ def _designed_experiments(
     upper = model.input_bounds()[1]
     samples = round(DURATION / sample_time)
     for words, option, excitation, reverses in _DESIGNED:
+        if reverses and not model.rotors:
+            continue
         centre, (lowest, highest) = points[reverses][0], bands[reverses]
         keys = [f"excitation={option}"]
         if option == _FAST:
@@ -224,7 +229,7 @@ def _designed_experiments(
         keys += ["excitation.iterations=0"] * (option == "multisine")
         keys += ["reversals=true"] * reverses
         yield about.experiment(words, keys, amplitude, model, model_name, seed)
-    for reverses in (False, True) if rest else ():
+    for reverses in ((False, True) if model.rotors else (False,)) if rest else ():
         centre, (lowest, highest) = points[reverses][0], bands[reverses]
         plan = Plan(samples, sample_time, lowest, highest, model.n_u, seed)
         longest = float(f"{_SMALL_HOLD / highest:.2g}")
@@ -248,7 +253,7 @@ def _designed_experiments(
 def _words_of_small_levels(model: Model, name: str, reverses: bool) -> str:
     """For levels of an input of that name."""
     rotors = {own.input: rotor for rotor, own in model.rotors.items()}
-    words = f"small random levels of the {rotors.get(name, name)} rotor"
+    words = f"small random levels of the {f'{rotors[name]} rotor' if name in rotors else name}"
     if model.n_u > 1:
         words += ", the other off" if reverses else ", the other steady"
     return words
@@ -266,7 +271,7 @@ class _AboutPoint:
         self.first = len(self._head)  #: Sample at which the excitation begins
 
     def commands(self, amplitude: FloatArray) -> FloatArray:
-        """What is played at an amplitude (n_u,), (n, n_u) V."""
+        """What is played at an amplitude (n_u,), (n, n_u), in the inputs' units."""
         return np.vstack([self._head, self._centre + amplitude * self._shape])
 
     def experiment(
@@ -303,14 +308,14 @@ def _played_experiments(
 ) -> Iterator[OpenLoopExperiment]:
     model = trial.model
     inputs = names(model.inputs)
-    if any(name not in ("u_v", "u_h") for name in inputs):
+    if not {field.name for field in fields(OpenLoop)}.issuperset(inputs):
         return  # controller=open_loop has no key for another input
-    roles = {own.input: rotor for rotor, own in model.rotors.items()}
+    places = {own.input: i for i, own in enumerate(ROTORS.values())}
     samples = round((DURATION + LEAD_IN) / sample_time)
     time = np.arange(samples, dtype=np.float64) * sample_time
     upper = model.input_bounds()[1]
-    for words, main, tail in kinds:
-        waves = [tail if roles.get(name) == "tail" else main for name in inputs]
+    for words, *both in kinds:
+        waves = [both[places.get(name, 0)] for name in inputs]
 
         def commands(amplitude: FloatArray, waves: list[_Wave] = waves) -> FloatArray:
             columns = [w.signal(a).sample(time) for w, a in zip(waves, amplitude, strict=True)]

@@ -70,10 +70,10 @@ def findings(
     if diagnosis.worth is not None and diagnosis.worth.warning:
         warnings.insert(0, diagnosis.worth.warning)
     if diagnosis.worse:
+        at = float(shown_horizon(h for gaps in diagnosis.gap.values() for h in gaps))
         worse = wording.listing([wording.signal(name) for name in diagnosis.worse])
-        warnings.insert(
-            0, f"the correction made {worse} worse, by over {100 * (WORSE - 1):.0f} % at 2 s"
-        )
+        much = f"by over {100 * (WORSE - 1):.0f} % at {at:g} s"
+        warnings.insert(0, f"the correction made {worse} worse, {much}")
     return report.Findings(
         title=f"Diagnosis: {headline(diagnosis)}",
         lead=[text for text in lead if text],

@@ -24,6 +24,7 @@ from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import StartSearch, fitted_starts, simulated_windows
 from trms_cli.identification.greybox.windows import StartEstimator, spreads
 from trms_cli.models.model import Model, names
+from trms_cli.models.scales import longest_run
 from trms_cli.simulation.rollout import Rollout
 
 #: s before a start that it is fitted to, and samples at least.
@@ -155,9 +156,25 @@ def expected_errors(
     rollout = rollout or Rollout(model, datasets[0].sample_time, jobs=jobs)
     random = np.random.default_rng(np.random.SeedSequence([seed, 0xF100]))
     p, simulations = model.parameters.values, []
-    for dataset in datasets:
-        start = StartEstimator(rollout, dataset, np.zeros(1, dtype=np.int64)).at(p).states
-        y = simulated_windows(rollout, dataset, [0], len(dataset), start, p)[0]
+    step, longest = datasets[0].sample_time, longest_run(model)
+    if np.isfinite(longest):  # what falls over is simulated piece by piece, a run in each
+        before = history(step)
+        samples = before + round(max(options.get("horizons", HORIZONS)) / step)
+        parts = [
+            (number, begin + before, begin + samples)
+            for number, first, last in parts
+            for begin in range(max(first - before, 0), last - samples + 1, samples)
+        ]
+    for number, dataset in enumerate(datasets):
+        begins, length = np.zeros(1, dtype=np.int64), len(dataset)
+        if np.isfinite(longest):
+            begins, length = np.array([b - before for n, b, _ in parts if n == number]), samples
+        start = StartEstimator(rollout, dataset, begins).at(p).states
+        y = dataset.measurements.copy()
+        for begin, piece in zip(
+            begins, simulated_windows(rollout, dataset, begins, length, start, p), strict=True
+        ):
+            y[begin : begin + length] = piece
         noisy = y + dataset.noise_sd * random.standard_normal(y.shape)
         noisy[np.isnan(dataset.measurements)] = np.nan
         simulations.append(replace(dataset, measurements=noisy))

@@ -27,6 +27,7 @@ from trms_cli.gap.wording import cause_name
 from trms_cli.identification.excitation.design import ExcitationRequest, design
 from trms_cli.identification.excitation.excitation import ExcitationPlugin
 from trms_cli.models.model import Model, names
+from trms_cli.models.scales import port_scale
 from trms_cli.plants.envelope import Envelope, EnvelopeSetup
 from trms_cli.simulation.rollout import Rollout
 
@@ -44,7 +45,7 @@ _DRAWS, _FIRST_DRAWS = 4, 8
 _FARTHEST = 2.0
 #: Share of the way to a mechanical stop, and to the ends of the envelope, that is used.
 _OF_STOPS, _OF_ENVELOPE = 0.9, 0.95
-#: rad, for an axis without a stop.
+#: Travels of an axis without a stop, rad on small benches.
 _WITHOUT_STOP = 4 * math.pi
 #: Shares of the advised amplitude that are tried.
 SHARES = (1.0, 0.85, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12)
@@ -75,10 +76,15 @@ class RigLimits:
         """Largest sizes of the angles in the first experiment, rad, where the envelope has one."""
         sizes = {}
         for name in self.envelope.readings:
-            if name in model.controlled and model.states[model.state_index(name)].unit == "rad":
+            if name in model.controlled and name in _axes(model):
                 low, high = self.envelope.reach(name, float(model.stops.get(name, math.inf)))
                 sizes[name] = _FIRST_SHARE * min(-low, high)
         return {name: size for name, size in sizes.items() if math.isfinite(size)}
+
+
+def _axes(model: Model) -> dict[str, str]:
+    """Axis by its angle or position."""
+    return {own.angle: name for name, own in model.axes.items()}
 
 
 def _unheard(kind: str, source: str, words: str, value: float) -> None:
@@ -132,9 +138,10 @@ class Ensemble:
         ranges: dict[str, tuple[float, float]] = {}
         for column, signal in zip(y.T, model.outputs, strict=True):
             low, high = float(column.min()), float(column.max())
-            if signal.unit == "rad":
+            if (axis := _axes(model).get(signal.name)) is not None:
                 stop = float(model.stops.get(signal.name, math.inf))
-                stop = _OF_STOPS * stop if math.isfinite(stop) else _WITHOUT_STOP
+                free = _WITHOUT_STOP * port_scale(model, axis=axis).travel
+                stop = _OF_STOPS * stop if math.isfinite(stop) else free
                 if max(-low, high) > stop:
                     return None
             rates = np.diff(column) / self._sample_time

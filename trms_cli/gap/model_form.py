@@ -143,8 +143,8 @@ def departures(fitted: FittedModel) -> dict[str, LawDeparture]:
 def _words(name: str, value: float, sd: float) -> str:
     """A departure as a colleague calls it."""
     law, size = name.split(".")
-    axis = law.split("_")[0]
-    rotor = "main" if axis == "pitch" else "tail"
+    axis = law.removesuffix("_model_form")
+    rotor = MODEL_FORM[law].rotor
     more = "more" if value > 0 else "less"
     higher = "a higher power" if value > 0 else "a lower power"
     by = f"(by {number(abs(value), 2)} ± {number(sd, 1)})"

@@ -24,6 +24,7 @@ from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import MovedParameter
 from trms_cli.models.model import Model
 from trms_cli.models.parameters import Parameter
+from trms_cli.models.rig_parts import parts_of
 
 #: Probability of other parameters from which it is told which.
 WORTH_TELLING = 0.05
@@ -51,12 +52,12 @@ class Moves:
 
 
 def moved_parameters(
-    refit: FittedModel, model: Model, pitch: float, seed: int = 0
+    refit: FittedModel, model: Model, tilt: float, seed: int = 0
 ) -> tuple[MovedParameter, ...]:
     """The parameters that may differ, the likeliest first.
 
     ``refit``: without any effect. ``model``: the nominal one, whose values stand in the words.
-    ``pitch``: rad, about which the recordings were made; changes of gravity are told there.
+    ``tilt``: rad, of a beam in the recordings' mean; changes of gravity are told there.
     """
     fit, free = refit.fit, refit.structure.problem.free
     if fit.evidence is None or not free:
@@ -86,7 +87,7 @@ def moved_parameters(
                 change=change,
                 sd=float(moves.sd[k] * scales[i]),
                 unit=parameter.unit,
-                words=change_in_words(model, parameter, change, pitch, moves.sd[k] * scales[i]),
+                words=change_in_words(model, parameter, change, tilt, moves.sd[k] * scales[i]),
             )
         )
     return tuple(sorted(parameters, key=lambda item: -item.probability))
@@ -141,7 +142,7 @@ def sampled_moves(
 
 
 def change_in_words(
-    model: Model, parameter: Parameter, change: float, pitch: float, sd: float = 0.0
+    model: Model, parameter: Parameter, change: float, tilt: float, sd: float = 0.0
 ) -> str:
     """A change as a colleague calls it, with what it does to gravity where it does.
 
@@ -154,40 +155,41 @@ def change_in_words(
     own = (
         f"{what} {spread}" if value == 0 else f"{what} {signed_percent(change / value)} ({spread})"
     )
-    gravity = gravity_in_words(model, {parameter.name: value + change}, pitch)
+    gravity = gravity_in_words(model, {parameter.name: value + change}, tilt)
     return f"{gravity}: {own}" if gravity else own
 
 
-def gravity_in_words(model: Model, values: Mapping[str, float], pitch: float) -> str:
+def gravity_in_words(model: Model, values: Mapping[str, float], tilt: float) -> str:
     """The gravity moment under other parameters: ``… −9 %, as 14 g at the nose would``.
 
-    Empty where the model has none, or it hardly changes. The nose is where the main rotor is; a
-    mass there moves the beam as the change does at the given pitch, and elsewhere differently.
+    Empty where the model has no beam, or it hardly changes. The nose is where the rotor that raises
+    it is; a mass there moves the beam as the change does at the given tilt, and elsewhere
+    differently.
     """
-    if "alpha_v" not in model.state_names:
-        return ""
+    parts = parts_of(model)
+    nose = f"arm_{parts.drive_of(parts.beam)}"
     x, u, p, _ = model.symbols()
     quantities = model.quantities(x, u, p)
-    if not {"gravity_moment", "arm_main"} <= quantities.keys():
+    if not parts.beam or nose not in quantities:
         return ""
-    outputs = [quantities["gravity_moment"], quantities["arm_main"]]
+    outputs = [quantities["gravity_moment"], quantities[nose]]
     at = ca.Function("gravity", [x, u, p], outputs)
     before = model.parameters.values
     after = model.parameters.replaced(values).values
 
     def moment(angle: float, of: FloatArray) -> FloatArray:
         state = model.rest()
-        state[model.state_index("alpha_v")] = angle
+        state[model.state_index(parts.axes[parts.beam].angle)] = angle
         return np.array([float(v) for v in at(state, np.zeros(model.n_u), of)])
 
     whole = [np.hypot(moment(0, of)[0], moment(np.pi / 2, of)[0]) for of in (before, after)]
     if not whole[0] > 0 or not np.isfinite(whole).all():
         return ""
     share = whole[1] / whole[0] - 1
-    (old, arm), (new, _) = moment(pitch, before), moment(pitch, after)
+    (old, arm), (new, _) = moment(tilt, before), moment(tilt, after)
     parameters = model.parameters
     g = parameters["g"].value if "g" in parameters else _GRAVITY
-    mass = -(new - old) / (g * arm * np.cos(pitch)) if arm > 0 and np.cos(pitch) > 0.1 else 0.0
+    mass = -(new - old) / (g * arm * np.cos(tilt)) if arm > 0 and np.cos(tilt) > 0.1 else 0.0
     if abs(share) < _LEAST_SHARE:
         return ""
     text = f"gravity moment of the beam {signed_percent(share)}"

@@ -410,12 +410,15 @@ def coarse_sensor(problem: GapProblem, candidates: Mapping[str, CandidateEffect]
 
     The name of its effect; empty where there is none.
     """
-    quanta = {}
+    quanta, units = {}, set()
     for axis, definition in problem.model.axes.items():
         for dataset in problem.datasets[:1]:
             names_ = [s.name for s in dataset.outputs]
             if definition.angle in names_:
                 quanta[axis] = quantum_of(dataset.measurements[:, names_.index(definition.angle)])
+                units.add(dataset.outputs[names_.index(definition.angle)].unit)
+    if len(units) > 1:  # of other kinds, with steps of their own
+        return ""
     coarse = [
         axis
         for axis, quantum in quanta.items()

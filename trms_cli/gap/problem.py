@@ -24,12 +24,21 @@ from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter
 from trms_cli.models.model import Model, names
 from trms_cli.models.parameters import Parameter
+from trms_cli.models.rig_parts import TRAVELS, parts_of
+from trms_cli.models.scales import longest_run, scales_of
 from trms_cli.plants.sensors import noise_estimate
 
 Effort = Literal["quick", "normal", "thorough"]
 
-#: s. Lengths of the free runs that the gap is told at.
+#: s. Lengths of the free runs that the gap is told at; of a model that falls over those within
+#: which it still does not run away from a start that is estimated.
 HORIZONS = (0.1, 0.5, 2.0, 10.0)
+
+
+def horizons_of(model: Model) -> tuple[float, ...]:
+    """s, those of :data:`HORIZONS` that free runs of a model last, the shortest at least."""
+    longest = longest_run(model)
+    return tuple(h for h in HORIZONS if h <= longest) or HORIZONS[:1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,24 +96,28 @@ _RIPPLE = 1.4
 _FEWEST_BLOCKS = 4
 
 
-#: rad. An axis that stays within so much for most of the time is held at one point.
-_ONE_POINT, _MOST_OF_THE_TIME = 0.1, 0.7
+#: rad. An axis that stays within so much for most of the time is held at one point; of another rig
+#: than small benches, a share of its travel.
+_ONE_POINT, _OF_TRAVEL, _MOST_OF_THE_TIME = 0.1, 0.02, 0.7
 
 
-def mean_pitch(datasets: Sequence[Dataset]) -> float:
-    """rad, about which recordings were made; zero where none has the pitch angle."""
-    pitch = [
+def mean_tilt(model: Model, datasets: Sequence[Dataset]) -> float:
+    """rad, angle of the beam about which recordings were made; zero where none has it."""
+    parts = parts_of(model)
+    angle = parts.axes[parts.beam].angle if parts.beam else ""
+    tilts = [
         float(np.nanmean(d.measurements[:, i]))
         for d in datasets
         for i, signal in enumerate(d.outputs)
-        if signal.name == "alpha_v"
+        if signal.name == angle
     ]
-    return float(np.mean(pitch)) if pitch else 0.0
+    return float(np.mean(tilts)) if tilts else 0.0
 
 
 def poor_excitation(model: Model, datasets: Sequence[Dataset]) -> tuple[str, ...]:
     """What recordings cannot tell, by how little the axes move."""
     still_axes: dict[str, str] = {}
+    parts = parts_of(model)
     for name, axis in model.axes.items():
         columns = [
             d.measurements[:, i]
@@ -117,16 +130,22 @@ def poor_excitation(model: Model, datasets: Sequence[Dataset]) -> tuple[str, ...
         if not len(angle):
             continue
         middle = float(np.median(angle))
-        near = float(np.mean(np.abs(angle - middle) < _ONE_POINT / 2))
+        is_bench = model.bench_sizes or model.sample_time is not None
+        reach = _ONE_POINT if is_bench else _OF_TRAVEL * scales_of(model).travels[name]
+        near = float(np.mean(np.abs(angle - middle) < reach / 2))
         if near > _MOST_OF_THE_TIME:
-            still_axes[name] = f"{number(middle, 2)} rad for {100 * near:.0f} % of the time"
+            unit = parts.unit(name)
+            still_axes[name] = f"{number(middle, 2)} {unit} for {100 * near:.0f} % of the time"
     if not still_axes:
         return ()
     are = "is held at one point" if len(still_axes) == 1 else "are each held at one point"
+    moments = {s.name: s.unit for s in model.disturbances}
+    are_turned = all(moments.get(model.axes[n].moment, "N*m") == "N*m" for n in still_axes)
     return (
-        f"{listing(list(still_axes))} {are} ({', '.join(still_axes.values())}): a torque on such "
-        "an axis shows with its place, sign and size, and whether the axis sticks or slides; "
-        "what makes it (a weight, a pull, a parameter) does not",
+        f"{listing(list(still_axes))} {are} ({', '.join(still_axes.values())}): a "
+        f"{'torque' if are_turned else 'force'} on such an axis shows with its place, sign and "
+        "size, and whether the axis sticks or slides; what makes it (a weight, a pull, a "
+        "parameter) does not",
     )
 
 
@@ -182,7 +201,7 @@ def divide(
     fitted = _newest(fitted, most)
     fitted_duration = sum(dataset.duration for dataset in fitted)
     block = min(block, fitted_duration / _FEWEST_BLOCKS)
-    if block < 2.0:
+    if fitted_duration / _FEWEST_BLOCKS < 2.0:
         raise ConfigurationError(
             f"{total:.3g} s of recording are too short to fit, compare and seal",
             where="real",
@@ -232,7 +251,8 @@ def with_noise(dataset: Dataset) -> Dataset:
     A precise sensor is believed only so far as its share of the motion: nothing that is fitted to
     the whole motion follows it more closely, and a search for what does ends anywhere.
     """
-    quanta = np.array([quantum_of(column) for column in dataset.measurements.T])
+    channels = zip(dataset.measurements.T, dataset.outputs, strict=True)
+    quanta = np.array([quantum_of(column, signal.unit) for column, signal in channels])
     ripple, rounding = noise_estimate(dataset.measurements), quanta / np.sqrt(12)
     # what a step makes of a moving angle is not quite white, and looks like a little more of it
     estimate = np.where(ripple < _RIPPLE * rounding, rounding, np.maximum(ripple, rounding))
@@ -247,14 +267,20 @@ _USUAL_QUANTUM = 2 * np.pi / 4096
 _COARSER = 1.5
 
 
-def is_coarser(quantum: float, other: float) -> bool:
-    """Whether an angle's steps are coarser than others, and than those of a usual encoder, rad."""
-    return quantum > _COARSER * max(_USUAL_QUANTUM, other)
+def is_coarser(quantum: float, other: float, travel: float = 1.0) -> bool:
+    """Whether a sensor's steps are coarser than others, and than those of a usual encoder.
+
+    ``travel``: of the channel, over that of a small bench's angle, 1 rad.
+    """
+    return quantum > _COARSER * max(_USUAL_QUANTUM * travel, other)
 
 
-def quantum_of(values: FloatArray) -> float:
+def quantum_of(values: FloatArray, unit: str = "rad") -> float:
     """Step of a sensor: the smallest that is common between its values; 0 if they are smooth."""
-    levels = np.unique(np.round(values[np.isfinite(values)], 9))
+    values = values[np.isfinite(values)]
+    # digits are counted from one radian, or from the power of ten of what is no angle
+    size = 1.0 if unit.startswith("rad") or not np.ptp(values) else _power_of_ten(np.ptp(values))
+    levels = np.unique(np.round(values / size, 9))
     steps = np.diff(levels)
     # a recording has few digits, so that a step is met a little too small or too large
     steps = steps[steps > 1e-6]
@@ -264,7 +290,11 @@ def quantum_of(values: FloatArray) -> float:
     near = steps[steps < 1.5 * quantum]
     quantum = float(np.mean(near))
     whole = np.abs(steps / quantum - np.round(steps / quantum)) < 0.1
-    return quantum if whole.mean() > 0.9 else 0.0
+    return quantum * size if whole.mean() > 0.9 else 0.0
+
+
+def _power_of_ten(value: float) -> float:
+    return float(10.0 ** np.ceil(np.log10(value)))
 
 
 def thin_dataset(dataset: Dataset) -> Dataset:
@@ -298,6 +328,8 @@ _SPREAD_SHAPES = {
     "width": (0.15, 0.5, 0.85),
     "frequency": tuple(np.linspace(0.0, 1.0, 24).tolist()),
 }
+#: Share of the least typical size below which an effect does nothing.
+_VANISHED = 0.05
 #: How far towards the ends of its typical range an angle off the middle is tried.
 _OFF = 0.5
 #: Width of a size's prior, in the largest typical size.
@@ -355,6 +387,21 @@ class CandidateEffect:
             if type(c.effect) is simpler and c.locations == self.locations
         )
         return next(alike, None)
+
+    def has_vanished(self, values: Mapping[str, float]) -> bool:
+        """Whether the effect does nothing at some sizes: far less than the least typical ones.
+
+        ``values``: by name, ``<effect>.<size>``.
+        """
+        parameters = self.effect.parameters()
+        for i, parameter in enumerate(parameters):
+            low, high = parameter.typical or (parameter.value / 3, parameter.value * 3)
+            most = max(abs(low), abs(high))
+            least = min(abs(low), abs(high)) if low * high > 0 else most / _DECADE
+            size = abs(values[f"{self.name}.{parameter.name}"])
+            if is_amplitude(parameters, i) and size > _VANISHED * least:
+                return False
+        return True
 
     def special_share(self, values: Mapping[str, float], sds: Mapping[str, float]) -> float:
         """How probable it is that its sizes are those of its special case.
@@ -422,6 +469,7 @@ def applicable_candidates(
         except ModelError as error:
             inapplicable[name] = str(error.args[0] if error.args else error)
             continue
+        effect = with_effect.effect  # with the sizes that are typical of this model
         applicable[name] = CandidateEffect(
             name,
             effect,
@@ -471,7 +519,7 @@ def is_amplitude(parameters: Sequence[Parameter], index: int) -> bool:
 
 
 def _vanishes(parameter: Parameter) -> bool:
-    return parameter.value == 0.0 and parameter.unit not in ("rad",) and parameter.name != "height"
+    return parameter.value == 0.0 and parameter.unit not in TRAVELS and parameter.name != "height"
 
 
 def _trial_values(parameter: Parameter) -> list[float]:
@@ -495,7 +543,7 @@ def _shapes(parameters: Sequence[Parameter], indices: Sequence[int]) -> list[tup
         p = parameters[i]
         if p.name == "arm":
             options.append([p.value, -p.value])
-        elif p.value == 0.0 and p.typical and p.unit == "rad" and p.typical[0] < 0 < p.typical[1]:
+        elif p.value == 0.0 and p.typical and p.unit in TRAVELS and p.typical[0] < 0 < p.typical[1]:
             # where a spring hangs free: off the middle it pulls all the time
             options.append([p.value, *(_OFF * end for end in p.typical)])
         elif p.name in _SPREAD_SHAPES:

@@ -155,7 +155,7 @@ def run_race(
     if everyone and effort.deepest > 1:
         later = search.later(everyone)
         everyone += search.together(signs, everyone)
-        everyone += search.special_cases(everyone)
+        everyone = better_of(everyone, search.special_cases(everyone))
         # from some moment on in place of throughout, where that says clearly more
         everyone = [later.pop(entry.names, entry) for entry in everyone] + [*later.values()]
     everyone.sort(key=lambda e: -e.fit.score)
@@ -332,13 +332,23 @@ class _Search:
             best = deeper
 
     def special_cases(self, entries: Sequence[FittedModel]) -> list[FittedModel]:
-        """The simpler laws that the likeliest are at their sizes, where these have not raced."""
-        raced_names = {entry.names for entry in entries}
+        """The simpler laws that the likeliest are at their sizes, where these have not raced.
+
+        One of several effects that has vanished leaves the others: where these alone were fitted
+        worse, their search had stopped too early.
+        """
+        scores = {entry.names: entry.fit.score for entry in entries}
         simpler: dict[tuple[str, ...], tuple[FittedModel, ModelStructure]] = {}
         for entry in sorted(entries, key=lambda e: -e.fit.score)[: self._effort.finalists]:
-            effects = [c.at_sizes(entry.values, self._candidates) for c in entry.structure.effects]
+            own = entry.structure.effects
+            left = [c for c in own if not c.has_vanished(entry.values)]
+            score = scores.get(tuple(sorted(c.name for c in left)))
+            is_short = score is not None and entry.fit.score > score + _ENTRANCE
+            effects = (
+                left if is_short else [c.at_sizes(entry.values, self._candidates) for c in own]
+            )
             structure = self._refit.structure.with_effects(*{e.name: e for e in effects}.values())
-            if structure.names not in raced_names:
+            if is_short or structure.names not in scores:
                 simpler.setdefault(structure.names, (entry, structure))
 
         def fit(case: tuple[FittedModel, ModelStructure]) -> FittedModel:
@@ -521,6 +531,15 @@ class _Search:
                     pool.shutdown(wait=True, cancel_futures=True)
                     break
         return results
+
+
+def better_of(entries: Sequence[FittedModel], again: Sequence[FittedModel]) -> list[FittedModel]:
+    """Entries, and fits made anew where they are new or say more, one of each effects."""
+    best = {entry.names: entry for entry in entries}
+    for entry in again:
+        if entry.names not in best or entry.fit.score > best[entry.names].fit.score:
+            best[entry.names] = entry
+    return list(best.values())
 
 
 def _tightened(fitted: Fitted) -> Fitted:

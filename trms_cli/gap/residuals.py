@@ -69,7 +69,8 @@ def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> 
     statistics = _statistics(z, measured, commands, structure.windows.sample_time)
     bootstrap: dict[tuple[str, int], list[float]] = {key: [] for key in statistics}
     target = structure.windows.target
-    quanta = np.array([quantum_of(target[..., i]) for i in range(target.shape[2])])
+    units = [signal.unit for signal in structure.problem.model.outputs]
+    quanta = np.array([quantum_of(target[..., i], unit) for i, unit in enumerate(units)])
     for bootstrap_residual in _bootstrap_residuals(metric, quanta, draws, random):
         white = np.where(
             measured, np.clip(metric.whitened(bootstrap_residual[..., None])[..., 0], -6, 6), 0.0

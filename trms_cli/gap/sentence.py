@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from trms_cli.core.wording import gap_share, listing, number, quantity, readable, signal, small_unit
 from trms_cli.gap.diagnosis import Cause, LocationShare, MovedParameter
 from trms_cli.gap.posterior import Posterior
-from trms_cli.gap.shrinkage import TOLD_AT, Shrinkage
+from trms_cli.gap.shrinkage import Shrinkage
 from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
 
 #: Probability from which a cause that is not told apart is worth its name.
@@ -76,13 +76,15 @@ def sentence(
     )
     if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
         return text + "; it is estimated, not explained: the corrected model is the refitted one."
-    shrink = shrinkage.shrink.get("all", {}).get(TOLD_AT)
+    shrink = shrinkage.shrink.get("all", {}).get(shrinkage.told_at)
     if shrink is not None and shrink.fraction is not None:
         if shrink.fraction > 0:
-            share_text = gap_share(shrink.fraction, shrink.ci95, "of the gap at 2 s", ELSEWHERE)
+            of = f"of the gap at {_seconds(shrinkage)}"
+            share_text = gap_share(shrink.fraction, shrink.ci95, of, ELSEWHERE)
             text += f"; on data kept aside, adding it closes {share_text}"
         else:
-            text += "; on data kept aside, adding it closes nothing of the gap at 2 s"
+            at = _seconds(shrinkage)
+            text += f"; on data kept aside, adding it closes nothing of the gap at {at}"
     likely = {n for cause in causes if cause.probability >= LEAST_ALIKE for n in cause.effects}
     alike = {name for group in posterior.confusable for name in group}
     others = sorted((alike & likely) - set(top.effects))
@@ -107,16 +109,16 @@ def _remaining_error(shrinkage: Shrinkage) -> str:
     worst, ratio = _farthest(shrinkage, "refit")
     if ratio < _MUCH:
         return ""
-    gap = shrinkage.gap[worst][TOLD_AT]
+    gap, at = shrinkage.gap[worst][shrinkage.told_at], _seconds(shrinkage)
     return (
-        f" But on the part kept aside they leave {worst} off by {gap.refit:.2g} {gap.unit} at 2 s, "
-        f"{ratio:.0f} times what the noise explains: do not rely on this, and record longer."
+        f" But on the part kept aside they leave {worst} off by {gap.refit:.2g} {gap.unit} at "
+        f"{at}, {ratio:.0f} times what the noise explains: do not rely on this, and record longer."
     )
 
 
 def _still_missing(shrinkage: Shrinkage) -> str:
     """What the corrected model still lacks on the sealed part, where that is much."""
-    at = max((h for gaps in shrinkage.gap.values() for h in gaps), key=float, default=TOLD_AT)
+    at = max((h for gaps in shrinkage.gap.values() for h in gaps), key=float, default="")
     worst, ratio = _farthest(shrinkage, "corrected", at)
     if ratio < _STILL:
         return ""
@@ -136,19 +138,28 @@ def _above_floor(shrinkage: Shrinkage) -> str:
     worst, ratio = _farthest(shrinkage, "raw")
     if ratio < _LITTLE:
         return ""
-    gap = shrinkage.gap[worst][TOLD_AT]
+    gap = shrinkage.gap[worst][shrinkage.told_at]
     small, scale = small_unit(gap.unit)
     errors = (
         f"{signal(worst)}, {number(scale * gap.raw)} against {quantity(scale * gap.floor, small)}"
     )
-    text = f" Over 2 s it errs by up to {ratio:.1f} times what the sensors' noise alone makes"
+    times = f"{ratio:.1f} times what the sensors' noise alone makes"
+    text = f" Over {_seconds(shrinkage)} it errs by up to {times}"
     if ratio < _MUCH:
         return f"{text} ({errors}): errors of its equations so small are usual and count as no gap."
     return f"{text} ({errors}): do not rely on this, and record longer."
 
 
-def _farthest(shrinkage: Shrinkage, model: str, at: str = TOLD_AT) -> tuple[str, float]:
-    """The channel whose free runs lie farthest above the floor, and how many times."""
+def _seconds(shrinkage: Shrinkage) -> str:
+    return f"{float(shrinkage.told_at):g} s"
+
+
+def _farthest(shrinkage: Shrinkage, model: str, at: str = "") -> tuple[str, float]:
+    """The channel whose free runs lie farthest above the floor, and how many times.
+
+    ``at``: horizon; empty for that which stands for all.
+    """
+    at = at or shrinkage.told_at
     ratios = {
         channel: getattr(gaps[at], model) / gaps[at].floor
         for channel, gaps in shrinkage.gap.items()

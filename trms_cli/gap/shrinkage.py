@@ -16,7 +16,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.beginning import begins_at
 from trms_cli.gap.competing_model import FittedModel
-from trms_cli.gap.diagnosis import WORSE, Gap, Shrink
+from trms_cli.gap.diagnosis import Gap, Shrink, shown_horizon
 from trms_cli.gap.free_runs import (
     Errors,
     HorizonErrors,
@@ -24,7 +24,7 @@ from trms_cli.gap.free_runs import (
     free_run_errors,
     join_errors,
 )
-from trms_cli.gap.problem import GapProblem, Parts
+from trms_cli.gap.problem import GapProblem, Parts, horizons_of
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout
 
@@ -34,8 +34,6 @@ _AT_FLOOR = 1.25
 _RUINED = 1000.0
 #: Resamples of blocks, and how far a refit has to stand above the floor for a gap to shrink.
 _RESAMPLES, LEAST_GAP = 400, 1.05
-#: s. The horizon at which a channel is judged worse, and that a sentence tells.
-TOLD_AT = "2.0"
 
 
 @dataclass(frozen=True)
@@ -44,12 +42,18 @@ class Shrinkage:
 
     gap: Mapping[str, Mapping[str, Gap]]  #: By channel and horizon
     shrink: Mapping[str, Mapping[str, Shrink]]  #: By channel, and ``all``, and horizon
-    worse: tuple[str, ...]  #: Channels that the correction made worse at 2 s
+    worse: tuple[str, ...]  #: Channels that the correction made worse at :attr:`told_at`
+
+    @property
+    def told_at(self) -> str:
+        """The horizon at which a channel is judged worse, and that a sentence tells: 2 s."""
+        horizons = {h for gaps in self.gap.values() for h in gaps}
+        return shown_horizon(horizons | set(self.shrink.get("all", ())))
 
     @property
     def leaves_more(self) -> bool:
-        """Whether the corrected model errs more at 2 s than the refitted one, over all channels."""
-        told = self.shrink["all"].get(TOLD_AT)
+        """Whether the corrected model errs more than the refitted one, over all channels."""
+        told = self.shrink["all"].get(self.told_at)
         return told is not None and told.fraction is not None and told.fraction < 0
 
 
@@ -59,6 +63,7 @@ class SealedRuns:
     def __init__(self, problem: GapProblem, parts: Parts) -> None:
         self._problem, self._parts = problem, parts
         self._options: dict[str, Any] = {"block": parts.block, "jobs": problem.jobs}
+        self._options["horizons"] = horizons_of(problem.model)
         self._errors: dict[int, tuple[Model, Errors]] = {}
         self._floors: dict[int, tuple[Model, Errors]] = {}
 
@@ -163,12 +168,10 @@ def measure_shrinkage(
         key: _pooled_shrink(list(p.values()), [name in speeds for name in p], problem.seed)
         for key, p in pairs.items()
     }
-    worse = tuple(
-        channel
-        for channel, table in gap.items()
-        if TOLD_AT in table and table[TOLD_AT].corrected > WORSE * table[TOLD_AT].refit
-    )
-    return Shrinkage(gap, shrink, worse)
+    shrinkage = Shrinkage(gap, shrink, ())
+    at = shrinkage.told_at
+    worse = (n for n, table in gap.items() if at in table and table[at].is_worse)
+    return replace(shrinkage, worse=tuple(worse))
 
 
 @dataclass(frozen=True)

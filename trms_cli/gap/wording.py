@@ -10,7 +10,7 @@ OTHERS = ("others",)
 #: What the interval of a shrink is of.
 ELSEWHERE = "on another recording"
 #: Units of sizes besides, and the factors to them.
-_SIZES = {"s": ("ms", 1e3), "kg": ("g", 1e3)}
+_SIZES = {"s": ("ms", 1e3), "kg": ("g", 1e3), "m": ("m", 1.0)}
 
 
 def cause_name(effects: Sequence[str]) -> str:
@@ -42,9 +42,14 @@ def place_name(location: str) -> str:
 def sizes(parameters: Mapping[str, SizeEstimate]) -> str:
     """Sizes of a cause with their deviations; one without any was held where it is."""
     return ", ".join(
-        f"{name.split('.', 1)[-1].replace('_', ' ')} {size_text(size)}"
+        f"{_size_name(name.split('.', 1)[-1], size.unit)} {size_text(size)}"
         for name, size in parameters.items()
     )
+
+
+def _size_name(name: str, unit: str) -> str:
+    """A size in words; on an axis that slides a torque is a force."""
+    return "force" if name == "torque" and unit == "N" else name.replace("_", " ")
 
 
 def size_text(size: SizeEstimate) -> str:

@@ -9,6 +9,7 @@ it tells what is to be had if the diagnosis is right.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from time import process_time
+from types import MappingProxyType
 
 import numpy as np
 from scipy.special import stdtrit
@@ -18,6 +19,7 @@ from trms_cli.core.errors import TrmsError
 from trms_cli.core.wording import listing, number, percent, signal, small_unit
 from trms_cli.gap.diagnosis import LoopGain, Worth
 from trms_cli.identification.dataset import Dataset
+from trms_cli.models.beam_rig import AXES
 from trms_cli.models.model import Model
 from trms_cli.plants.plant import PlantRun
 from trms_cli.simulation.closed_loop import Experiment, Loop
@@ -27,9 +29,9 @@ from trms_cli.simulation.history import History
 DURATION, _RISING = 30.0, 10.0
 #: Hz of the reference, a sine: slow enough to be followed, and each run holds some turns of it.
 FREQUENCY = 0.1
-#: rad; the reference's amplitudes at most (those of configs/ref/sine.yaml), and the least that is
-#: worth following; an offset below is none.
-LARGEST: Mapping[str, float] = {"alpha_v": 0.3, "alpha_h": 0.5}
+#: rad; amplitudes of a beam's reference at most (those of configs/ref/sine.yaml), and the least
+#: that is worth following; an offset below is none. Others have what was recorded for bounds.
+LARGEST: Mapping[str, float] = dict(zip((a.angle for a in AXES.values()), (0.3, 0.5), strict=True))
 _SMALLEST = 0.05
 #: Quantiles of the recorded angles within which the reference stays.
 _RANGE = (0.05, 0.95)
@@ -72,9 +74,9 @@ _REFUSALS = (TrmsError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 
 
 def sine_within(datasets: Sequence[Dataset], axes: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Amplitude and offset, rad, of a sine within the recorded range of each angle.
+    """Amplitude and offset of a sine within the recorded range of each controlled state.
 
-    Rounded to hundredths, so that they can be typed; angles that were not recorded have none.
+    Rounded, so that they can be typed; what was not recorded has none.
     """
     sines = {}
     for axis in axes:
@@ -86,9 +88,13 @@ def sine_within(datasets: Sequence[Dataset], axes: Sequence[str]) -> dict[str, t
         ]
         values = np.concatenate(columns) if columns else np.zeros(0)
         values = values[np.isfinite(values)]
-        if axis not in LARGEST or not len(values):
+        if not len(values):
             continue
         low, high = (float(v) for v in np.quantile(values, _RANGE))
+        if axis not in LARGEST:
+            amplitude, offset = (float(f"{0.5 * v:.2g}") for v in (high - low, low + high))
+            sines[axis] = (amplitude, offset if abs(offset) > 0.1 * amplitude else 0.0)
+            continue
         amplitude = round(min(0.5 * (high - low), LARGEST[axis]), 2)
         offset = round(0.5 * (low + high), 2)
         sines[axis] = (max(amplitude, _SMALLEST), offset if abs(offset) >= _SMALLEST else 0.0)
@@ -98,14 +104,14 @@ def sine_within(datasets: Sequence[Dataset], axes: Sequence[str]) -> dict[str, t
 def reference_words(
     kind: str, sines: Mapping[str, tuple[float, float]], frequency: float | None = None
 ) -> list[str]:
-    """Overrides of ``trms run`` for a reference of such amplitudes and offsets, rad, by axis.
+    """Overrides of ``trms run`` for a reference of such amplitudes and offsets by axis.
 
     ``frequency``: Hz; None for that of the option.
     """
     words = [f"ref={kind}"]
     for axis, (amplitude, offset) in sines.items():
         values = {"frequency": frequency, "amplitude": amplitude, "offset": offset}
-        usual = {"frequency": None, "amplitude": LARGEST[axis], "offset": 0.0}
+        usual = {"frequency": None, "amplitude": LARGEST.get(axis), "offset": 0.0}
         words += [f"ref.{axis}.{k}={v:g}" for k, v in values.items() if v != usual[k]]
     return words
 
@@ -144,7 +150,8 @@ def worth_of(
         return None
     if not after or after.keys() != errors.keys():
         return None
-    words = gain_in_words(errors, after, noise, controller)
+    units = {signal.name: signal.unit for signal in before.states}
+    words = gain_in_words(errors, after, noise, controller, units)
     gains = loops_of(loops or {}, before)
     return Worth(
         before=errors,
@@ -153,7 +160,7 @@ def worth_of(
         command=command,
         words=words,
         loops=gains,
-        warning=warning_of(gains),
+        warning=warning_of(gains, units[before.controlled[0]]),
     )
 
 
@@ -226,9 +233,12 @@ def _errors_or_none(
         return None
 
 
-def warning_of(loops: Sequence[LoopGain]) -> str:
-    """Where the correction makes a loop worse, and what to use there; empty if nowhere."""
-    unit, scale = small_unit("rad")
+def warning_of(loops: Sequence[LoopGain], of: str = "rad") -> str:
+    """Where the correction makes a loop worse, and what to use there; empty if nowhere.
+
+    ``of``: unit of the errors.
+    """
+    unit, scale = small_unit(of)
     parts = []
     for worse in (loop for loop in loops if loop.is_worse):
         figures = f"{number(scale * worse.before, 2)} → {number(scale * worse.after, 2)} {unit}"
@@ -309,20 +319,24 @@ def _differences(
 
 
 def gain_in_words(
-    before: Mapping[str, float], after: Mapping[str, float], noise: Mapping[str, float], name: str
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+    noise: Mapping[str, float],
+    name: str,
+    units: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
     """The sentence: by how much each angle is followed closer by the controller of that name.
 
-    ``noise``: standard deviation of each angle's sensor, rad.
+    ``noise``: standard deviation of each angle's sensor. ``units``: of all; rad where none is told.
     """
     parts, is_better, is_worse = [], False, False
-    unit, scale = small_unit("rad")
     for axis, old in before.items():
         new = after[axis]
         share = 1 - new / old if old > 0 else 0.0
         same = abs(share) < _CHANGED or abs(new - old) < _ABOVE_NOISE * noise.get(axis, 0.0)
         is_better |= share > 0 and not same
         is_worse |= share < 0 and not same
+        unit, scale = small_unit(units.get(axis, "rad"))
         way = f"{percent(abs(share))} {'less' if share > 0 else 'more'}"
         figures = f"{number(scale * old, 2)} → {number(scale * new, 2)} {unit}"
         parts.append(f"{signal(axis)} {figures} ({'about the same' if same else way})")

@@ -13,6 +13,8 @@ from trms_cli.models.model import Model, RigAxis, RigRotor, names
 
 #: What the variable of an axis and its rate are called: of one that turns, of one that slides.
 ANGLES, RATES = ("angle", "position"), ("rate", "velocity")
+#: Units of what an axis moves through, and their words.
+TRAVELS = {"rad": "radian", "m": "metre"}
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class RigParts:
     def nouns(self, axis: str) -> tuple[str, str]:
         """What is measured of it, and the word of its unit."""
         unit = self.unit(axis)
-        return ANGLES[not self.turns(axis)], {"rad": "radian", "m": "metre"}.get(unit, unit)
+        return ANGLES[not self.turns(axis)], TRAVELS.get(unit, unit)
 
     def angle(self, axis: str) -> str:
         """*yaw angle*, *carriage position*; empty for no axis."""

@@ -218,3 +218,26 @@ def _ratio(scale: PortScale, unit: str) -> float:
         "V": scale.input / BENCH.input,
     }
     return ratios.get(unit, 1.0)
+
+
+#: Logarithm of the factor by which deviations grow over the longest run.
+_MOST_GROWTH = 3.5
+
+
+@lru_cache(maxsize=64)
+def longest_run(model: Model) -> float:
+    """s, that a free run from an estimated start lasts until it says nothing of the model.
+
+    Until deviations have grown by the factor e^3.5, by the fastest unstable pole at rest: infinite
+    for a model that does not fall over. Benches with two rotors, whose slowest oscillations at
+    times grow by a little, have none either.
+    """
+    if model.bench_sizes or model.sample_time is not None:
+        return math.inf
+    model = model.without_effects()
+    x, u, p, w = model.symbols()
+    slope = ca.Function("slope", [x, u, p, w], [ca.jacobian(model.dynamics(x, u, p, w), x)])
+    zero = np.zeros(model.n_u), model.parameters.values, np.zeros(model.n_w)
+    poles = np.linalg.eigvals(np.array(slope(model.rest(), *zero)))
+    growth = float(poles.real.max(initial=0.0))
+    return _MOST_GROWTH / growth if growth > _STILL else math.inf

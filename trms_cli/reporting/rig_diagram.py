@@ -118,11 +118,11 @@ def _wires(panel: Axes, boxes: Mapping[str, _Box], rows: Sequence[DiagramRow]) -
             wire(panel, [(left.x + _WIDE / 2, y), (right.x - _WIDE / 2, y)])
         if row.command:
             wire(panel, [(chain[0].x - _WIDE / 2 - 0.42, y), (chain[0].x - _WIDE / 2, y)])
-            word(panel, chain[0].x - _WIDE / 2 - 0.62, y, _symbol(row.command))
+            _signal(panel, chain[0].x - _WIDE / 2 - 0.62, y, row.command)
         end = chain[-1].x + _WIDE / 2
         if row.output:
             wire(panel, [(end, y), (end + 0.42, y)])
-            word(panel, end + 0.62, y, _symbol(row.output))
+            _signal(panel, end + 0.62, y, row.output)
         if "tacho" not in row.places:
             continue
         tacho = boxes[row.places["tacho"]]
@@ -131,7 +131,7 @@ def _wires(panel: Axes, boxes: Mapping[str, _Box], rows: Sequence[DiagramRow]) -
         branch(panel, (fork, y))
         wire(panel, [(fork, y), (fork, inner)])
         wire(panel, [(tacho.x + _WIDE / 2, tacho.y), (tacho.x + _WIDE / 2 + 0.42, tacho.y)])
-        word(panel, tacho.x + _WIDE / 2 + 0.64, tacho.y, _symbol(row.speed))
+        _signal(panel, tacho.x + _WIDE / 2 + 0.64, tacho.y, row.speed)
     moments = [boxes[row.places["moment"]] for row in rows if "moment" in row.places]
     for upper, lower in pairwise(moments):
         x, ends = upper.x, (upper.y - _HIGH / 2, lower.y + _HIGH / 2)
@@ -143,9 +143,10 @@ def _wires(panel: Axes, boxes: Mapping[str, _Box], rows: Sequence[DiagramRow]) -
         panel.text(x + 0.3, y, text, ha="left", va="center", color=GREY, size=7)
 
 
-def _symbol(name: str) -> str:
-    """A signal beside its wire: ``alpha_v`` with letter and index, a word as it is."""
+def _signal(panel: Axes, x: float, y: float, name: str) -> None:
+    """A signal at the end of its wire: ``alpha_v`` with letter and index, a word above it."""
     first, _, index = name.partition("_")
-    if len(index) != 1:
-        return name.replace("_", " ")
-    return f"${first if len(first) == 1 else chr(92) + first}_{index}$"
+    if len(index) == 1:
+        word(panel, x, y, f"${first if len(first) == 1 else chr(92) + first}_{index}$")
+    else:
+        word(panel, x, y + 0.25, name.replace("_", " "))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
+from trms_cli.core.wording import listing
 from trms_cli.gap.diagnosis import RegionShare
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import LAWS, ForceRecord, explained_shares
@@ -294,7 +295,7 @@ def description(record: ForceRecord, foretold: float | None = None) -> tuple[str
             for region in regions(record)
             if " t = " not in region.condition
         ),
-        _origin(record) if foretold is None else _predicted_origin(foretold),
+        _origin(record) if foretold is None else _predicted_origin(record, foretold),
         _closest_form(record),
     ]
     return tuple(sentence for sentence in parts if sentence)
@@ -397,9 +398,13 @@ def _origin(record: ForceRecord) -> str:
     )
 
 
-def _predicted_origin(share: float) -> str:
+def _predicted_origin(record: ForceRecord, share: float) -> str:
     """Where it comes from, by what smooth terms of the motion foretell through simulation."""
-    terms = "smooth terms of angles, rates, speeds and commands foretell "
+    turns = [record.parts.turns(axis) for axis in record.angles] or [True]
+    words = ["positions"] * (not all(turns)) + ["angles"] * any(turns)
+    words += ["velocities"] * (not all(turns)) + ["rates"] * any(turns)
+    words += ["speeds"] * bool(record.parts.rotors) + ["commands"]
+    terms = f"smooth terms of {listing(words)} foretell "
     text = f"{terms}{share:.0%} of it on held-out blocks"
     if share >= _OWN:
         return f"It is the rig's own doing: {text}."
