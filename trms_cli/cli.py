@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from trms_cli import __version__
+from trms_cli.core.deprecation import show_on
 from trms_cli.core.errors import EXIT_OK, TrmsError, interrupted_code
 from trms_cli.core.threads import take_one_thread
 
@@ -68,6 +69,8 @@ OPTIONS = """\
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command named by `argv` and return the exit code; never raises but on ``--debug``."""
+    if argv is None:  # the program, not a call from Python
+        show_on(sys.stderr)
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]

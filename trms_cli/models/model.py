@@ -19,11 +19,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.core.deprecation import deprecated_name
 from trms_cli.core.errors import ModelError
 from trms_cli.models.parameters import ParameterSet
 
@@ -59,9 +61,6 @@ class RigRotor:
     torque: str = ""  #: Name of the disturbance that is a torque on it, N m
     axis: str = ""  #: Name of the axis that its thrust turns
 
-
-#: The former name, which models of users import.
-Axis = RigAxis
 
 #: A part of a step, as fractions of it; the last part ends at 1.
 Window = tuple[float, float]
@@ -264,6 +263,10 @@ class Model(ABC):
             ca.SX.sym("p", len(self.parameters)),
             ca.SX.sym("w", self.n_w),
         )
+
+
+def __getattr__(name: str) -> Any:
+    return deprecated_name(__name__, name, {"Axis": ("RigAxis", RigAxis)})
 
 
 def names(signals: Sequence[Signal]) -> tuple[str, ...]:
