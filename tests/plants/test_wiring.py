@@ -7,7 +7,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from tests.recordings.test_vocabulary import CART
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.plants.plant import PlantSetup
+from trms_cli.plants.udp import UdpRig
 from trms_cli.plants.wiring import Wire, Wiring, check_wires, zeroed
 
 UNITS = {"u_v": [None, "V", "mV"], "alpha_v": [None, "deg", "rad"], "omega_v": [None, "rpm"]}
@@ -161,3 +164,32 @@ def test_a_signal_that_no_rig_has_is_refused_with_the_nearest():
     with pytest.raises(ConfigurationError, match="no signal 'alpha_w'") as error:
         check_wires({"alpha_w": Wire(channel=0, sign=1)}, "wiring", ("alpha_v", "u_v"))
     assert "did you mean alpha_" in error.value.remedy
+
+
+UDP = {"host": "127.0.0.1", "port": 47800}
+
+
+def test_a_rig_with_other_names_is_wired_by_its_model():
+    rig = UdpRig(
+        **UDP,
+        wiring={
+            "position": Wire(channel=1, sign=-1, scale=2.0, unit="mm"),
+            "current": Wire(channel=0, sign=1, unit="mA"),
+        },
+        limits={"current": (-5.0, 5.0), "u_v": (-2.5, 2.5)},  # the other is the bench's
+    )
+    run = rig.init(PlantSetup(0.02, 10, 0, CART))
+    assert [(s.name, s.unit) for s in (*run.outputs, *run.inputs)] == [
+        ("position", "m"),
+        ("current", "A"),
+    ]
+    assert run.input_limits[1].tolist() == [5.0] and run.noise_sd == {"position": 1e-6}
+    for model, wrong, words in (
+        (None, "position", "no signal 'position'"),
+        (CART, "velocity", "no signal 'velocity'"),
+        (CART, "current", "no readings are wired"),
+    ):
+        with pytest.raises(ConfigurationError, match=words) as error:
+            wires = {wrong: Wire(channel=0, sign=1), "current": Wire(channel=1, sign=1)}
+            UdpRig(**UDP, wiring=wires).init(PlantSetup(0.02, 10, 0, model))
+        assert error.value.where.startswith("plant.wiring")

@@ -99,6 +99,24 @@ class TestRow:
         assert [r["rmse_beta"] for r in found] == [0.3, None]
         assert len(find_runs("estimate_rmse_omega_h == 0.5")) == 2
 
+    def test_figures_of_other_rigs_stand_beside_the_columns_with_their_units(self, write_run):
+        cart = {
+            "channels": {"position": {"rmse": 0.3, "unit": "m"}},
+            "inputs": {"force": {"effort": 2.0, "unit": "N"}},
+        }
+        write_run("cart", scored=cart)
+        alone = find(Query())
+        assert alone.runs[0]["rmse_position"] == 0.3 and alone.runs[0]["rmse"] == 0.3
+        units = {name: alone.columns[name].unit for name in ("rmse_position", "rmse", "effort")}
+        assert units == {"rmse_position": "m", "rmse": "m", "effort": "N² s"}
+        write_run("twin")
+        both = find(Query(columns=("path", "rmse", "rmse_*", "rmse_alpha_v")))
+        assert list(both.columns) == ["path", "rmse", "rmse_position", "rmse_alpha_v"]
+        # rad and m are no sum of one unit
+        assert [c.unit for c in both.columns.values()] == ["", "", "m", "rad"]
+        twins = find(Query(filter="rmse_alpha_v > 0", columns=("rmse",)))
+        assert twins.columns["rmse"].unit == "rad"
+
     def test_a_score_that_holds_what_it_should_not(self, write_run):
         channel = {"rmse": "0.1; DROP TABLE runs", "iae": [1], "steps": 1e40}
         odd = {"channels": {"alpha_v": channel}, "solver": "none", "duration_s": True, "inputs": []}
