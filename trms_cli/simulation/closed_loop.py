@@ -37,7 +37,6 @@ from trms_cli.simulation.history import History, Writer
 from trms_cli.simulation.pace import Clock, LatePolicy, Pace, WallClock, undisturbed
 from trms_cli.simulation.preparation import (
     check_finite,
-    check_period,
     check_reach,
     farthest_command,
     reference_of,
@@ -219,7 +218,6 @@ class Loop:
         references = reference_of(e.model, e.reference).sample(times)
         check_finite(references, times, e.model.controlled)
         check_reach(e, references)
-        check_period(e)
         envelope = envelope_of(e.plant).init(
             EnvelopeSetup(e.sample_time, inputs, outputs, e.model.stops)
         )

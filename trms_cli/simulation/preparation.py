@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,17 +68,17 @@ def check_reach(experiment: Experiment, references: FloatArray) -> None:
         note(f"note   {sentence}")
 
 
-def check_period(experiment: Experiment) -> None:
-    """Remark a control period that is long beside the time constants of a model of a user's."""
+def long_period(experiment: Experiment) -> Iterator[str]:
+    """A sentence where the control period is long beside the time constants of a user's model."""
     model, step = experiment.model, experiment.sample_time
     if model.bench_sizes or model.sample_time is not None:
         return
     time, period = state_scales(model).time, experiment.samples_per_control * step
     better = max(1, int(_PERIODS[1] * time / step)) * step
     if period > _PERIODS[0] * time and better < period:
-        note(
-            f"note   a control period of {period:g} s is long beside the time constants of "
-            f"{model.name}, {time:.2g} s: try controller.sample_time={better:g}"
+        yield (
+            f"a control period of {period:g} s is long beside the time constants of {model.name}, "
+            f"{time:.2g} s: try controller.sample_time={better:g}"
         )
 
 

@@ -55,7 +55,9 @@ def perform(composition: Composition, listener: Listener) -> Done:
     experiment = assembly.experiment_of(composition.config)
     _tell_of_missing_compiler(composition)
     if composition.job in (None, 0):  # in a sweep with its first job only
-        for what in never_begun(experiment.plant, experiment.duration):
+        from trms_cli.simulation.preparation import long_period
+
+        for what in (*never_begun(experiment.plant, experiment.duration), *long_period(experiment)):
             note(f"note   {what}")
     revision = GitRevision.ask()
     has_picture = bool(composition.config["picture"])

@@ -184,6 +184,8 @@ def around(
         if following == positions:
             break
         positions = following
+    if not positions - neutral:  # a position that nothing pulls back moves nothing
+        positions = set(range(model.n_x))
     return ReducedSystem(model, point, tuple(sorted(positions - neutral)), tuple(sorted(neutral)))
 
 

@@ -353,10 +353,12 @@ class Access:
             information[np.arange(n), np.arange(n)] += _PRIOR**-2
             # The information that is left of the torque when the state is estimated with it.
             cross = information[:n, n]
-            remaining_information = float(
-                information[n, n] - cross @ np.linalg.solve(information[:n, :n], cross)
-            )
-            if remaining_information <= 1e-12 * information[n, n]:
+            try:
+                known = cross @ np.linalg.solve(information[:n, :n], cross)
+            except np.linalg.LinAlgError:  # an unstable mode has outgrown all others
+                return None
+            remaining_information = float(information[n, n] - known)
+            if not remaining_information > 1e-12 * information[n, n]:
                 return None
             return float(1.0 / (np.sqrt(remaining_information) * size))
 

@@ -26,6 +26,7 @@ from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
+from trms_cli.models.state_scales import bench_ratios
 from trms_cli.stability.closed_loop import LoopRun, Path, run_loop
 from trms_cli.stability.loops.frequency_response import MarginResult
 from trms_cli.stability.subject import LoopParts, Subject
@@ -47,6 +48,8 @@ class Impairment:
     up: bool = False  #: Whether a gain is too large: a factor of size, else of 1/size
     #: Whether a gain changes only the command's distance to the point's, as in linear theory
     of_changes: bool = False
+    force_unit: str = "N m"  #: Of friction
+    force_ratio: float = 1.0  #: Of the axis' force to that of a small bench, by which sizes go
 
     @property
     def key(self) -> str:
@@ -63,7 +66,7 @@ class Impairment:
 
     @property
     def unit(self) -> str:
-        return _UNITS[self.kind]
+        return self.force_unit if self.kind == "friction" else _UNITS[self.kind]
 
     @property
     def none(self) -> float:
@@ -104,8 +107,19 @@ class Impairment:
 def impairments_of(model: Model) -> tuple[Impairment, ...]:
     """All that fit a rig; one that only steps cannot gain friction."""
     gains = [Impairment("gain", u, up) for u in names(model.inputs) for up in (True, False)]
-    axes = model.axes if model.sample_time is None else ()
-    return (Impairment("delay"), *gains, *(Impairment("friction", axis) for axis in axes))
+    if model.sample_time is not None:
+        return (Impairment("delay"), *gains)
+    ratios, units = bench_ratios(model), {s.name: s.unit for s in model.disturbances}
+    frictions = [
+        Impairment(
+            "friction",
+            axis,
+            force_unit=units[place.moment].replace("*", " "),
+            force_ratio=float(ratios.disturbances[[*units].index(place.moment)]),
+        )
+        for axis, place in model.axes.items()
+    ]
+    return (Impairment("delay"), *gains, *frictions)
 
 
 @dataclass

@@ -147,7 +147,17 @@ class Equilibria:
                     remedy=f"one of {', '.join(input_names)}",
                 )
             return tuple(self.over)
-        idle = rest_system(model, input_names[:1]).idle
+        try:
+            idle = rest_system(model, input_names[:1]).idle
+        except ModelError as error:
+            if model.bench_sizes:
+                raise
+            raise ModelError(
+                f"{model.name} does not rest at each command: where it rests, the command follows "
+                "from it, and a position that nothing pulls back may have any value",
+                where="study.over",
+                remedy=f"look along a position: study=local study.over={model.controlled[0]}",
+            ) from error
         selection = tuple(
             name
             for name in input_names

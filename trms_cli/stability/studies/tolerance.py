@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -63,7 +63,8 @@ class Tolerance:
     delays: Sequence[Positive] = (0.05, 0.1, 0.2, 0.4)  #: s, the scan
     #: Factors above 1, the scan upwards; their inverses downwards
     gains: Sequence[_Factor] = (2.0, 4.0, 8.0, 16.0)
-    frictions: Sequence[Positive] = (0.001, 0.003, 0.01, 0.03)  #: N m, the scan
+    #: N m, the scan; of a model of a user's in the proportion of the forces on its axes
+    frictions: Sequence[Positive] = (0.001, 0.003, 0.01, 0.03)
     #: Factor between a size that is stood and one that is not, at which the search ends
     precision: Annotated[float, Meta(gt=1)] = 1.1
 
@@ -95,7 +96,7 @@ class Tolerance:
         limits = []
         for impairment in impairments:
             tell(impairment.words)
-            sizes = sorted(scans[impairment.kind])
+            sizes = [size * impairment.force_ratio for size in sorted(scans[impairment.kind])]
             limits.append(limits_of(trial, impairment, sizes, self.precision, nothing, margins))
         tell("what differs from the linear margins")
         return _findings(limits, trial, margins)
@@ -142,9 +143,10 @@ def _findings(
     charts = [_overview(limits, trial, where)]
     if any(result.back.above for result in limits):
         charts.append(_responses(limits, trial, where))
+    unit = _error_unit(trial)
     verdicts = (
         f"A loop comes back if, in the last third of {trial.duration:g} s, it rests within "
-        f"{bounds.rest:g} rad of the point and swings by at most {bounds.swing:g} rad (its "
+        f"{bounds.rest:g} {unit} of the point and swings by at most {bounds.swing:g} {unit} (its "
         f"commands by {100 * bounds.chatter:g} % of half their range), or the swing shrinks to "
         "80 % of the third before and the error to half. It is still creeping if the error shrinks "
         "too slowly for that, and rests beside the point if it does not shrink, or a command stays "
@@ -228,9 +230,16 @@ def _table(limits: Sequence[ImpairmentLimits]) -> Table:
             Column("swings at", sized(lambda limit: limit.calm.above)),
             Column("back again at", again),
         ],
-        "Delays in s, gains as factors, friction in N m. The sizes beside each limit; nothing "
+        f"Delays in s, gains as factors, friction in {_force_unit(limits)}. The sizes beside each "
+        "limit; nothing "
         "stands where no size tried is too much.",
     )
+
+
+def _force_unit(limits: Sequence[ImpairmentLimits]) -> str:
+    """Units of all frictions: ``N m``, or ``N and N m``."""
+    units = dict.fromkeys(r.impairment.unit for r in limits if r.impairment.kind == "friction")
+    return " and ".join(units) or "N m"
 
 
 def _display_size(impairment: Impairment, size: float | None) -> float | None:
@@ -340,7 +349,9 @@ def _responses(limits: Sequence[ImpairmentLimits], trial: ToleranceTrial, condit
                 Curve(trial_run.run.time, trial.errors(trial_run.run.x)[:, axis], word, colour)  # type: ignore[arg-type]
             )
         title = f"{result.impairment.words}: {result.impairment.amount(above.size)}"
-        panels.append(Panel(Axis("time", "s"), Axis(f"error of {name}", "rad"), marks, title))
+        panels.append(
+            Panel(Axis("time", "s"), Axis(f"error of {name}", _error_unit(trial)), marks, title)
+        )
     caption = (
         f"Error of the angle that fails, at sizes just below and just above each limit: "
         f"{condition}."
@@ -357,13 +368,21 @@ def _overview(limits: Sequence[ImpairmentLimits], trial: ToleranceTrial, conditi
         for i, result in enumerate(results):
             marks += _row(result, trial, _COLOURS[i % len(_COLOURS)])
         if results:
-            y_axis = Axis("error + swing", "rad", log=True)
-            panels.append(Panel(axis, y_axis, marks, kind.capitalize()))
+            y_axis = Axis("error + swing", _error_unit(trial), log=True)
+            own = replace(axis, unit=_force_unit(limits)) if kind == "friction" else axis
+            panels.append(Panel(own, y_axis, marks, kind.capitalize()))
     caption = (
         f"Mean error plus swing in the last third of each run over what was made worse (stars, on "
         f"the dotted line of both bounds: where the linear loop becomes unstable): {condition}."
     )
     return Chart("tolerance_overview", panels, caption, columns=len(panels), width=4.2, height=4.2)
+
+
+def _error_unit(trial: ToleranceTrial) -> str:
+    """Units of what is controlled: ``rad``."""
+    model = trial.subject.model
+    units = (model.states[model.state_index(name)].unit for name in model.controlled)
+    return " and ".join(dict.fromkeys(units))
 
 
 def _row(result: ImpairmentLimits, trial: ToleranceTrial, colour: Colour) -> list[Mark]:
