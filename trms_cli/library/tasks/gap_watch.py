@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
@@ -11,10 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from trms_cli.composition.catalogue import make_importable
 from trms_cli.composition.given_object import refuse_objects
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.plugins import build
 from trms_cli.gap.watch.gap_watch import GapWatch, WatchingGap
+from trms_cli.library.tasks.experiment import CONFIG_DIRS_KEY
 from trms_cli.models.model import Model, names
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.plants.sensors import Sensors
@@ -157,6 +160,7 @@ class GapReplay:
     def _ready(self) -> WatchingGap:
         """The watch, from the log's configuration and its first sample."""
         config = self._logged_config()
+        make_importable(map(Path, json.loads(self._tail.run.get(CONFIG_DIRS_KEY, "[]"))))
         model = build(config.get("model"), "model")
         if not isinstance(model, Model):
             raise ConfigurationError(
