@@ -21,7 +21,13 @@ version = release = __version__
 copyright = "the trms authors, MIT licence"
 language = "en"
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "laboratory"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+    "laboratory",
+]
 exclude_patterns = [
     "_build",
     "_extensions",
@@ -48,6 +54,10 @@ suppress_warnings = [
     "ref.python",  # two rooms may call a class alike: Signal
     "myst-nb.lexer",  # a notebook without outputs does not name its language's lexer
 ]
+
+# What is typed has a copy button, what is printed has none; of a session the commands are copied.
+copybutton_selector = "div:not(.highlight-text):not(.output) > div.highlight > pre"
+copybutton_prompt_text = "$ "
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"

@@ -15,12 +15,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from docs.figures import effect_gallery, plots, validation
+from docs.figures import effect_gallery, first_look, plots, validation
 from experiments import block_diagrams
 from experiments.page_tables import write_tables
 
 HERE = Path(__file__).parent
-README = HERE.parents[1] / "README.md"
+STARTED = HERE.parent / "getting-started.md"
 #: Figures of docs/excitation.md, and how they are designed.
 EXCITATIONS = {
     "excitation_multisine": [],
@@ -29,7 +29,7 @@ EXCITATIONS = {
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Draw what the pages show; run the README's run, keep its picture and what it printed."""
+    """Draw what the pages show; run `make run`'s run, keep its picture and what it printed."""
     parser = argparse.ArgumentParser(prog="python -m docs.figures", description=__doc__)
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; or all")
     arguments = parser.parse_args(argv)
@@ -64,7 +64,7 @@ def _run(scratch: Path) -> None:
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True, encoding="utf-8", **settings)
     (picture,) = scratch.glob("outputs/*/*/run.png")
     shutil.copyfile(picture, HERE / "run.png")
-    write_tables(README, {"what make run prints": f"```text\n{done.stdout.rstrip()}\n```"})
+    write_tables(STARTED, {"what make run prints": f"```text\n{done.stdout.rstrip()}\n```"})
 
 
 def _excitation(scratch: Path) -> None:
@@ -82,6 +82,16 @@ def _plots(scratch: Path) -> None:
     plots.draw(HERE, program, scratch)
 
 
+def _moving(scratch: Path) -> None:
+    program, _ = _installed(scratch)
+    first_look.draw_moving(HERE, program, scratch)
+
+
+def _pages(scratch: Path) -> None:
+    program, _ = _installed(scratch)
+    first_look.draw_pages(HERE, program, scratch)
+
+
 def _installed(scratch: Path) -> tuple[str, dict[str, Any]]:
     """The program, and how it is started: found on the path, it tells the next commands by its
     bare name."""
@@ -97,6 +107,8 @@ PARTS: dict[str, Callable[[Path], None]] = {
     "run": _run,
     "excitation": _excitation,
     "plots": _plots,
+    "moving": _moving,
+    "pages": _pages,
 }
 
 

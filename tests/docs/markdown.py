@@ -4,6 +4,16 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+#: Why commands of a page are not typed by a test: the word behind ``by-hand=``.
+REASONS = {
+    "setup": "sets up or changes a machine: clone, install, build an image, source a shell",
+    "study": "a study, a benchmark or a target of make: minutes to hours, with tests of its own",
+    "minutes": "takes minutes to hours; that it composes is tested",
+    "yours": "needs what only the reader has: a recording, a package, a run of before, hardware",
+    "live": "goes on until somebody stops it, or moves a rig",
+    "cluster": "needs several machines",
+    "part": "a part of a file, not a program",
+}
 _FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -20,6 +30,12 @@ class Block:
     def file(self) -> str | None:
         """The file that the block is, from ``file=PATH`` behind its language."""
         return next((w.removeprefix("file=") for w in self.words if w.startswith("file=")), None)
+
+    @property
+    def by_hand(self) -> str | None:
+        """Why it is left to the reader, empty where none is given; None where a test types it."""
+        marks = [word for word in self.words if word.partition("=")[0] == "by-hand"]
+        return marks[0].partition("=")[2] if marks else None
 
     @property
     def commands(self) -> list[str]:

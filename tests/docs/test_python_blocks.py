@@ -2,7 +2,7 @@
 
 A page's ``python`` blocks are one session: a name of an earlier block is there in a later one. A
 block with ``file=PATH`` is that file; those of ``docs/effects.md`` and ``docs/log-format.md`` have
-tests of their own; ``python by-hand`` is left to the reader.
+tests of their own; ``python by-hand=REASON`` is left to the reader.
 """
 
 from pathlib import Path
@@ -33,7 +33,7 @@ def _sessions() -> list[str]:
 
 def _is_typed(block) -> bool:
     typed = block.language == "python" and block.file is None
-    return typed and "by-hand" not in block.words
+    return typed and block.by_hand is None
 
 
 @pytest.fixture(scope="module")

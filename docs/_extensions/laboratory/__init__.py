@@ -1,7 +1,7 @@
 """What the site adds to the Markdown pages, all of it made at build time.
 
 ==================  ================================================================
-`navigation`        the tree of pages, read from the tables of ``index.md``
+`navigation`        the tree of pages, read from the tables of the five parts
 `sources`           a page for every source file that a page links
 `commands`          a reference page a command, from its help
 `configuration`     a reference page a group of options, from the YAML files

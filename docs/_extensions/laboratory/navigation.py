@@ -1,8 +1,9 @@
-"""The tree of pages, read from ``docs/index.md``.
+"""The tree of pages: five parts, each a page of ``docs/`` whose tables link the others.
 
-A ``##`` section of the index is a part of the navigation, with the pages it links in their order.
-In a ``###`` section the first page is the parent of the others. A page of ``docs/`` that the index
-does not name yet goes under *More*, so that it is found all the same.
+The order and grouping in the navigation are those of a part's page: what stands before its first
+heading is directly below it; of a ``##`` group the first page is the parent of the others, so that
+a part unfolds into few lines. A page of ``docs/`` that no part names yet goes under *More*, so
+that it is found all the same.
 """
 
 from __future__ import annotations
@@ -17,65 +18,53 @@ from docutils import nodes
 
 from .pages import toctree
 
-_HEADING = re.compile(r"^(##+)\s+(.*?)\s*$")
-_LINK = re.compile(r"\]\(([\w./-]+)\.(?:md|ipynb)(?:#[\w-]*)?\)")
+#: The parts in their order, by page.
+PARTS = ("start", "how-to", "understand", "reference", "proof")
+_ROW = re.compile(r"^\|\s*\[[^\]]*\]\(([\w./-]+)\.(?:md|ipynb)\)")
 #: Folders whose pages are reached from others or are no pages.
 _APART = ("_", "source/", "reference/", "figures/", "example_plugin/", "templates/")
 
 
 @dataclass
-class Part:
-    """A section of the index: its heading, its pages, and the pages under some of them."""
-
-    heading: str
-    pages: list[str] = field(default_factory=list)
-
-
-@dataclass
 class Tree:
-    """What the index says."""
+    """Pages by the page that they are below."""
 
-    parts: list[Part] = field(default_factory=list)
     children: dict[str, list[str]] = field(default_factory=dict)
+    more: list[str] = field(default_factory=list)  #: Pages that no part names
 
     def names(self) -> set[str]:
-        """All pages in it."""
-        found = {page for part in self.parts for page in part.pages}
-        return found.union(*self.children.values())
+        """All pages below another."""
+        return set[str]().union(*self.children.values())
 
 
 def read_tree(docs: Path) -> Tree:
-    """The navigation, with what the index does not name under *More*."""
-    return _read_tree(docs, (docs / "index.md").stat().st_mtime_ns)
+    """The navigation, as the pages of the parts stand now."""
+    return _read_tree(docs, tuple((docs / f"{part}.md").stat().st_mtime_ns for part in PARTS))
 
 
 @lru_cache(maxsize=1)
-def _read_tree(docs: Path, changed: int) -> Tree:
+def _read_tree(docs: Path, changed: tuple[int, ...]) -> Tree:
     tree = Tree()
-    parent: str | None = None
-    nested = False
     seen: set[str] = set()
-    for line in (docs / "index.md").read_text(encoding="utf-8").splitlines():
-        heading = _HEADING.match(line)
-        if heading:
-            nested, parent = len(heading[1]) > 2, None
-            if not nested:
-                tree.parts.append(Part(heading[2]))
-            continue
-        for name in _LINK.findall(line) if tree.parts else ():
-            if name in seen or not any((docs / f"{name}{e}").is_file() for e in (".md", ".ipynb")):
+    for part in PARTS:
+        parent = part
+        first_of_group = False
+        for line in (docs / f"{part}.md").read_text(encoding="utf-8").splitlines():
+            if line.startswith("## "):
+                parent, first_of_group = part, True
+            row = _ROW.match(line)
+            if row is None or row[1] in seen:
+                continue
+            name = row[1]
+            if not any((docs / f"{name}{e}").is_file() for e in (".md", ".ipynb")):
                 continue
             seen.add(name)
             if name.startswith("../"):  # a page elsewhere in the repository: see `sources`
                 name = f"source/{name.removeprefix('../')}.md.md"
-            if nested and parent is not None:
-                tree.children.setdefault(parent, []).append(name)
-            else:
-                tree.parts[-1].pages.append(name)
-                parent = name
-    more = sorted(_all_pages(docs) - tree.names() - {"index"})
-    if more:
-        tree.parts.append(Part("More", more))
+            tree.children.setdefault(parent, []).append(name)
+            if first_of_group:
+                parent, first_of_group = name, False
+    tree.more = sorted(_all_pages(docs) - tree.names() - {"index", *PARTS})
     return tree
 
 
@@ -90,8 +79,8 @@ def toctrees(name: str, docs: Path) -> str:
     """The hidden tables of contents that belong to a page."""
     tree = read_tree(docs)
     if name == "index":
-        return "".join(toctree(part.pages, caption=part.heading) for part in tree.parts)
-    return toctree(tree.children.get(name, []))
+        return toctree(PARTS) + toctree(tree.more, caption="More")
+    return toctree([f"/{child}" for child in tree.children.get(name, [])])
 
 
 def always_read(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> Any:
@@ -102,7 +91,7 @@ def always_read(app: Any, env: Any, added: set[str], changed: set[str], removed:
 
 
 def mark_cards(app: Any, doctree: nodes.document) -> None:
-    """On the front page the tables of pages are shown as cards."""
-    if app.env.current_document.docname == "index":
+    """On the pages of the parts the tables of pages are shown as cards."""
+    if app.env.current_document.docname in ("index", *PARTS):
         for table in doctree.findall(nodes.table):
             table["classes"].append("cards")
