@@ -63,7 +63,8 @@ def measures_of(score: Mapping[str, Any]) -> list[Measure]:
         measures.append(Measure("settling time", slowest.value, "s", note=note))
     if effort := _present_entries(score, "inputs", "effort"):
         total = figures.total(entry.value for entry in effort)
-        measures.append(Measure("effort ∫u²dt", total, effort[0].unit, note="both inputs added"))
+        note = "" if len(effort) == 1 else "both inputs added"
+        measures.append(Measure("effort ∫u²dt", total, effort[0].unit, note=note))
     solver = part(score, "solver")
     for key, label in (("deadline_misses", "deadlines missed"), ("failures", "fall-backs")):
         value = finite(solver.get(key))

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain
 from typing import Any
 
 from trms_cli.core import wording
@@ -15,7 +16,7 @@ from trms_cli.scoring.comparison.runs import (
     differences,
     with_rigs,
 )
-from trms_cli.scoring.figures import Group, entries, metrics
+from trms_cli.scoring.figures import Group, entries, metrics, part
 
 _GROUPS: tuple[Group, ...] = ("channels", "inputs", "solver", "run")
 
@@ -241,7 +242,9 @@ def ranking_findings(
 def ranking_tables(ranking: ranked.Ranking, standings: Sequence[ranked.Standing]) -> list[Table]:
     """Tracking and robustness, effort and time, and failures where there was one."""
     rows = [(standing, ranked.figures_of(standing, ranking.metric)) for standing in standings]
-    unit = metrics()[ranking.metric].replace("{}", "rad")
+    channel, command = _unit_of(ranking, "channels", "rad"), _unit_of(ranking, "inputs", "V")
+    unit = metrics()[ranking.metric].replace("{}", channel) if channel else ""
+    effort = f"{command}² s" if command else ""
     error = {"max_abs_error": "largest error"}.get(ranking.metric, ranking.metric.upper())
     heads = [Column("rank", lambda each: each[0].rank), Column("who", lambda each: each[0].name)]
     tracking = [
@@ -256,8 +259,8 @@ def ranking_tables(ranking: ranked.Ranking, standings: Sequence[ranked.Standing]
         Column("worst", lambda each: _ratio(each[1].ratio_worst)),
     ]
     cost = [
-        Column("effort ∫u²dt [V² s]", lambda each: each[1].effort),
-        Column("total variation Σ|Δu| [V]", lambda each: each[1].variation),
+        Column(wording.with_unit("effort ∫u²dt", effort), lambda each: each[1].effort),
+        Column(wording.with_unit("total variation Σ|Δu|", command), lambda each: each[1].variation),
         Column("step [ms]", lambda each: each[1].step_ms),
         Column("p99 [ms]", lambda each: each[1].step_p99_ms),
         Column("longest [ms]", lambda each: each[1].step_max_ms),
@@ -277,6 +280,17 @@ def ranking_tables(ranking: ranked.Ranking, standings: Sequence[ranked.Standing]
         table(rows, [*heads, *cost], heads=2),
     ]
     return tables + ([table(unwell, [*heads, *failures], heads=2)] if unwell else [])
+
+
+def _unit_of(ranking: ranked.Ranking, group: str, usual: str) -> str:
+    """The unit of channels or inputs of ranked runs; the twin rotor's where no score tells one.
+
+    Empty where they have several: a sum over them has none.
+    """
+    runs = chain.from_iterable(ranking.contest.cells.values())
+    owners = chain.from_iterable(part(run.score, group).values() for run in runs)
+    units = {str(own["unit"]) for own in owners if own.get("unit")} or {usual}
+    return units.pop() if len(units) == 1 else ""
 
 
 def notes(ranking: ranked.Ranking, standings: Sequence[ranked.Standing]) -> Iterator[str]:
