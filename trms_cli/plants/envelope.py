@@ -23,6 +23,7 @@ from trms_cli.plants.heartbeat import Heartbeat, HeartbeatMonitor
 #: Takes kind, source, sentence and value of an event.
 Tell = Callable[[str, str, str, float], None]
 Action = Literal["warn", "clamp", "land"]
+_BEYOND_STOPS = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +56,9 @@ class Envelope:
     commands: Mapping[str, Bound] = field(default_factory=dict)
     #: Largest change of commands, V/s; they are cut to it
     slew: Mapping[str, Positive] = field(default_factory=dict)
-    #: rad beyond a mechanical stop from which on a reading is impossible; None: no such bound
-    beyond_stops: Positive | None = 0.5
+    #: rad beyond a mechanical stop from which on a reading is impossible; None: no such bound. Of a
+    #: model of a user's it is, as it stands here, a share of the stop.
+    beyond_stops: Positive | None = _BEYOND_STOPS
     impossible_after: NotNegative = 0.1  #: s of impossible readings, then the rig is landed
     heartbeat: Heartbeat = field(default_factory=Heartbeat)  #: Datagrams that must not stop
 
@@ -100,6 +102,7 @@ class EnvelopeSetup:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]  #: Measured channels, the order of y
     stops: Mapping[str, float]  #: Mechanical stops of angles to either side, rad
+    bench_sizes: bool = True  #: Whether the rig is as large as small benches with two rotors
 
 
 class EnvelopeWatch:
@@ -109,7 +112,9 @@ class EnvelopeWatch:
         self._outputs, self._inputs = setup.outputs, setup.inputs
         self._period = setup.sample_time
         margin = math.inf if envelope.beyond_stops is None else envelope.beyond_stops
-        self._possible = [setup.stops.get(name, math.inf) + margin for name in setup.outputs]
+        stops = [setup.stops.get(name, math.inf) for name in setup.outputs]
+        is_share = margin == _BEYOND_STOPS and not setup.bench_sizes
+        self._possible = [stop + margin * (stop if is_share else 1.0) for stop in stops]
         self._impossible_after = round(envelope.impossible_after / setup.sample_time)
         self._impossible = [0] * len(setup.outputs)
         self._readings = _by_position(envelope.readings, setup.outputs)
@@ -265,8 +270,9 @@ def beyond_reach(
     controlled: Sequence[str],
     envelope: Envelope,
     stops: Mapping[str, float],
+    units: Mapping[str, str],
 ) -> list[str]:
-    """A sentence for each angle whose reference (samples, n_r) a rig cannot follow, rad."""
+    """A sentence for each angle whose reference (samples, n_r) a rig cannot follow."""
     sentences = []
     for column, name in enumerate(controlled):
         low, high = envelope.reach(name, stops.get(name, math.inf))
@@ -274,7 +280,7 @@ def beyond_reach(
         if least < low or most > high:
             worst = most if most - high >= low - least else least
             sentences.append(
-                f"the reference of {name} goes to {worst:.4g} rad, the rig from {low:.4g} to "
-                f"{high:.4g} rad"
+                f"the reference of {name} goes to {worst:.4g} {units[name]}, the rig from "
+                f"{low:.4g} to {high:.4g} {units[name]}"
             )
     return sentences

@@ -17,6 +17,10 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 
+_RATE = 1.0  # V/s
+#: Share of an input's limit that the ramp covers in a second on rigs that have no rotors: what the
+#: rate is of 2.5 V.
+_SHARE = 0.4
 #: Commands that a rig of both axes has.
 ROTOR_COMMANDS = ("u_v", "u_h")
 
@@ -27,7 +31,9 @@ class Landing:
 
     #: V, the safe command by input; 0 where none is given
     command: Mapping[str, float] = field(default_factory=dict)
-    rate: Positive = 1.0  #: V/s, of the ramp to the safe command, and of that into a run
+    #: V/s, of the ramp to the safe command, and of that into a run; as it stands here, of an input
+    #: of another rig the same share of its limit
+    rate: Positive = _RATE
     hold: NotNegative = 0.0  #: s, for which the safe command is held before the rig is let go
     #: Whether every run ends with it; a simulated rig needs none
     after_run: bool = True
@@ -36,6 +42,13 @@ class Landing:
         """Most samples that it takes from a command so far (V) from the safe one."""
         ramp = math.ceil(farthest / (self.rate * sample_time) - 1e-9)
         return ramp + round(self.hold / sample_time) + 1
+
+    def rates(self, inputs: Sequence[str], limits: tuple[FloatArray, FloatArray]) -> FloatArray:
+        """Of the ramp of each input, per second, (n_u,), in its unit."""
+        largest = np.maximum(*np.abs(limits))
+        own = np.where(np.isfinite(largest) & (largest > 0), _SHARE * largest, self.rate)
+        is_usual = [self.rate != _RATE or name in ROTOR_COMMANDS for name in inputs]
+        return np.where(is_usual, self.rate, own)
 
     def init(
         self,
@@ -62,7 +75,8 @@ class Landing:
                     where=f"landing.command.{name}",
                     remedy=f"a safe command from {low:g} to {high:g} V",
                 )
-        return LandingRamp(safe, self.rate * sample_time, round(self.hold / sample_time))
+        step = self.rates(inputs, limits) * sample_time
+        return LandingRamp(safe, step, round(self.hold / sample_time))
 
 
 @dataclass(frozen=True)
@@ -70,7 +84,7 @@ class LandingRamp:
     """A landing in samples."""
 
     safe: FloatArray  #: The safe command (n_u,), V
-    step: float  #: Largest change of a command in one sample, V
+    step: FloatArray  #: Largest change of each command in one sample, (n_u,), V
     hold_samples: int  #: For which the safe command is held once it is reached
 
     def toward(self, goal: FloatArray, u: FloatArray) -> FloatArray:

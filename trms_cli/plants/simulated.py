@@ -193,7 +193,7 @@ class SimulatedRun:
                 raise ConfigurationError(
                     f"{value:g} given",
                     where=f"initial.{name}",
-                    remedy=f"the mechanical stops are at ±{stop:g} rad "
+                    remedy=f"the mechanical stops are at ±{stop:g} {_unit_of(model, name)} "
                     "(plant.mechanical_stops=false takes them away)",
                 )
             start[_position(name, names(model.states), "initial")] = value
@@ -345,6 +345,10 @@ def _vector(values: Mapping[str, float], signals: tuple[Signal, ...], where: str
     for name, value in values.items():
         vector[_position(name, names(signals), where)] = value
     return vector
+
+
+def _unit_of(model: Model, state: str) -> str:
+    return model.states[model.state_index(state)].unit
 
 
 def _position(name: str, valid_names: tuple[str, ...], where: str) -> int:

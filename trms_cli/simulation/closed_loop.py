@@ -198,7 +198,7 @@ class Loop:
         ratio = e.samples_per_control
         landing = landing_of(e.plant)
         # a real rig is ramped into the run as well
-        ramps = landing.samples(farthest_command(e.model), e.sample_time)
+        ramps = landing.samples(farthest_command(e.model, landing), e.sample_time)
         around = ramps * landing.after_run * (1 + e.in_real_time)
         plant = e.plant.init(PlantSetup(e.sample_time, e.samples + around, e.seed, e.model))
         check_run(plant)
@@ -219,7 +219,7 @@ class Loop:
         check_finite(references, times, e.model.controlled)
         check_reach(e, references)
         envelope = envelope_of(e.plant).init(
-            EnvelopeSetup(e.sample_time, inputs, outputs, e.model.stops)
+            EnvelopeSetup(e.sample_time, inputs, outputs, e.model.stops, e.model.bench_sizes)
         )
         supervisor = e.supervisor.init(SupervisorSetup(e.model, e.sample_time, outputs, ramp))
 

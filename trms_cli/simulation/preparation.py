@@ -11,11 +11,12 @@ from trms_cli.controllers.controller import ControlSample, ControlSetup
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.invocation import note
-from trms_cli.models.model import Model
+from trms_cli.models.model import Model, names
 from trms_cli.models.state_scales import state_scales
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.plants.envelope import beyond_reach, envelope_of
+from trms_cli.plants.landing import Landing
 from trms_cli.references.trajectory import ReferenceTrajectory
 
 if TYPE_CHECKING:
@@ -34,9 +35,15 @@ _SHORT, _LEAST_SHORT = 0.02, 0.005
 _PERIODS = 0.5, 0.25
 
 
-def farthest_command(model: Model) -> float:
-    """How far any command is from any other, V; something large where there are no limits."""
+def farthest_command(model: Model, landing: Landing) -> float:
+    """How far any command is from any other, V; something large where there are no limits.
+
+    Of a model of a user's, what is as far at the landing's rate.
+    """
     lower, upper = model.input_bounds()
+    if not model.bench_sizes:
+        lasts = (upper - lower) / landing.rates(names(model.inputs), (lower, upper))
+        return landing.rate * float(np.max(lasts, initial=0.0))
     return float(min(np.max(upper - lower, initial=0.0), 2 * _FARTHEST))
 
 
@@ -55,8 +62,9 @@ def check_reach(experiment: Experiment, references: FloatArray) -> None:
     model = experiment.model
     if not getattr(experiment.controller, "follows_reference", True):
         return
+    units = {signal.name: signal.unit for signal in model.states}
     sentences = beyond_reach(
-        references, model.controlled, envelope_of(experiment.plant), model.stops
+        references, model.controlled, envelope_of(experiment.plant), model.stops, units
     )
     if sentences and getattr(experiment.plant, "real_time", False):
         raise ConfigurationError(

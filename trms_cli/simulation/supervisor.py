@@ -169,6 +169,11 @@ class WatchingRun(SupervisorRun):
         angles = {axis.angle for axis in setup.model.axes.values()}
         self._is_angle = [name in angles for name in setup.outputs]
         self._stops = [setup.model.stops.get(name, math.inf) for name in setup.outputs]
+        model = setup.model  # beside a stop of a model of a user's: the same share of it
+        self._near = [
+            _NEAR_STOP * (1.0 if model.bench_sizes or stop == math.inf else stop)
+            for stop in self._stops
+        ]
         self._sum, self._mean = [0.0] * n, [1.0] * n
         self._angles = set(setup.model.controlled) & set(setup.outputs)
         self._landing = setup.landing
@@ -224,7 +229,7 @@ class WatchingRun(SupervisorRun):
         """Whether a channel whose reading has been the same for a while is frozen."""
         if not self._is_angle[i] and 2 * self._changes[i] > self._readings[i] > _FEW:
             return True
-        if abs(self._last[i]) > self._stops[i] - _NEAR_STOP:
+        if abs(self._last[i]) > self._stops[i] - self._near[i]:
             return False
         return self._sum[i] > self._frozen_limit * self._same[i]
 
