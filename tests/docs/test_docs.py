@@ -32,7 +32,7 @@ PAGES = sorted(
     for page in ROOT.glob(pattern)
 )  # fmt: skip
 #: Pages whose runs are looked at afterwards: as long as they say.
-WHOLE = ["docs/recordings.md", "docs/excitation.md"]
+WHOLE = ["docs/recordings.md", "docs/excitation.md", "docs/your-own-rig.md"]
 #: Pages that a test of their own types; so do those of examples.
 ELSEWHERE = {"docs/identify.md"}
 #: Pages that are typed in seconds; the others are left to `make slow`.
@@ -72,18 +72,19 @@ def shortened(command: str) -> str:
     return f"{command} sim.duration={_SHORT} picture=false"
 
 
-def typed(command: str, folder: Path) -> Done:
+def typed(command: str, folder: Path, settings: Path | None = None) -> Done:
     """A line of a page: the program's alone in this process, another in a shell that finds it."""
-    settings = {"COLUMNS": "92", "XDG_CONFIG_HOME": str(folder / ".settings"), "TRMS_ALLOW": ""}
+    home = str((settings or folder) / ".settings")
+    variables = {"COLUMNS": "92", "XDG_CONFIG_HOME": home, "TRMS_ALLOW": ""}
     if command.startswith("trms ") and not re.search(r"[|<>;&$*?~`\\]", command):
         importlib.invalidate_caches()  # a page writes modules between its commands
         with forgotten(folder):
-            return in_process(folder, *shlex.split(command)[1:], code=None, **settings)
+            return in_process(folder, *shlex.split(command)[1:], code=None, **variables)
     programs = f"{INSTALLED.parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         ["bash", "-c", command],
         cwd=folder,
-        env=os.environ | settings | {"PATH": programs, "NO_COLOR": "1"},
+        env=os.environ | variables | {"PATH": programs, "NO_COLOR": "1"},
         capture_output=True,
         text=True,
         encoding="utf-8",
@@ -101,7 +102,7 @@ def says(expected: str, output: str) -> bool:
 
 def type_page(name: str, folder: Path, change: Callable[[str], str] = shortened) -> int:
     """Write its files, type its commands, compare what it shows; the number of commands."""
-    count = 0
+    count, here = 0, folder
     for block in blocks(ROOT / name):
         place = f"{name}, line {block.line}"
         if block.file is not None:
@@ -110,12 +111,15 @@ def type_page(name: str, folder: Path, change: Callable[[str], str] = shortened)
             file.write_text(block.text, encoding="utf-8")
         elif block.language == "sh" and is_typed(block):
             for command in block.commands:
-                done = typed(change(command), folder)
+                if command.startswith("cd "):
+                    here = here / command.removeprefix("cd ")
+                    continue
+                done = typed(change(command), here, settings=folder)
                 assert done.returncode == 0, f"{place}: {command}\n{done.stdout}{done.stderr}"
                 count += 1
         elif block.language == "console" and is_typed(block):
             first, _, expected = block.text.partition("\n")
-            done = typed(first.removeprefix("$ "), folder)
+            done = typed(first.removeprefix("$ "), here, settings=folder)
             output = done.stdout + done.stderr
             assert says(expected, output), f"{place}: {first}\n{output}"
             count += 1

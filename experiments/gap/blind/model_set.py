@@ -51,9 +51,9 @@ _SCATTER, _SCATTERING = 1 / 3, 0.7  # prior standard deviations of rigs, and the
 _QUANTA = (1.0, 1.0, 0.5, 0.25)
 _WANDER = 0.03 / np.sqrt(2)  #: largest standard deviation of a drive's gain
 _LINES = 24
-_NEAR_STOP, _LESS, _TRIES = 0.95, 0.6, 5  #: share of the stops; less, and how often
-_AMPLITUDE = 0.8
-_NULLS, _MEASURED = 6, 60.0  #: rigs whose mean is the floor; s
+_NEAR_STOP, _LESS, _TRIES = 0.95, 0.5, 4  #: share of the stops; less, and how often
+_AMPLITUDE = 0.5
+_NULLS, _MEASURED = 6, 40.0  #: rigs whose mean is the floor; s
 _OTHER = 7919  #: between the seeds of a rig's first and second commands
 
 
@@ -369,7 +369,7 @@ def draw_nuisances(source: RigSource, random: Random) -> dict[str, float]:
         return float(np.exp(random.uniform(np.log(low), np.log(high))))
 
     drawn = {
-        "jitter": octaves(2e-5, 8e-4),
+        "jitter": octaves(2e-6, 8e-5),  # sampled by a card
         "drift": float(random.uniform(0.0, _WANDER)),
         "drift_time": octaves(10.0, 100.0) if random.uniform() < 0.5 else 0.0,
         "stick": float(random.uniform(0.0, 0.12)),
