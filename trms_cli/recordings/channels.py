@@ -216,9 +216,9 @@ class Vocabulary:
 
     def nearest(self, name: str, among: Iterable[str] = (), cutoff: float = 0.5) -> str | None:
         """The name, of some or all, that a misspelt one most likely means, or None."""
-        if name.lower() in _OTHER_NAMES:
-            return _OTHER_NAMES[name.lower()]
         lower = {candidate.lower(): candidate for candidate in among or ("t", *self.channels)}
+        if _OTHER_NAMES.get(name.lower()) in lower:
+            return _OTHER_NAMES[name.lower()]
         close = difflib.get_close_matches(name.lower(), lower, n=1, cutoff=cutoff)
         return lower[close[0]] if close else None
 

@@ -278,7 +278,7 @@ def time_boxes(runs: Runs) -> draw.Panel | None:
 
 def phase(runs: Runs, look: Look = draw.curve_look) -> list[draw.Panel]:
     """Each axis's rate over its angle."""
-    names = [n for n in _ANGLES if any(run.truth(n) is not None for run in runs)]
+    names = _in_order(name for run in runs for name in _angles(run))
     if not names:
         raise Absent(_no_angle(runs))
     return phase_panels(runs, names, look)
@@ -384,9 +384,20 @@ def comparison(runs: Sequence[RunReport]) -> list[draw.Panel]:
         key: dict.fromkeys(name for run in runs for name in part(run.score, key))
         for key in ("channels", "inputs")
     }
+
+    def unit_of(key: str, name: str, usual: str) -> str:
+        own = (part(part(run.score, key), name).get("unit") for run in runs)
+        return next((str(unit) for unit in own if unit), usual)
+
     figures = [
-        *((f"RMSE of {label_of(n)}", "rad", ("channels", n, "rmse")) for n in names["channels"]),
-        *((f"effort, {label_of(n)}", "V² s", ("inputs", n, "effort")) for n in names["inputs"]),
+        *(
+            (f"RMSE of {label_of(n)}", unit_of("channels", n, "rad"), ("channels", n, "rmse"))
+            for n in names["channels"]
+        ),
+        *(
+            (f"effort, {label_of(n)}", f"{unit_of('inputs', n, 'V')}² s", ("inputs", n, "effort"))
+            for n in names["inputs"]
+        ),
         ("step time, median", "ms", ("solver", "time_ms", "median")),
     ]
     panels: list[draw.Panel] = []
@@ -463,7 +474,10 @@ def _same(one: TimeSeries, longest: TimeSeries) -> bool:
 
 
 def _angles(run: RunSignals) -> list[str]:
-    return [name for name in _ANGLES if run.truth(name) is not None]
+    """Angles of a twin rotor; of another rig the angles and positions that it measures."""
+    measured = run.names("/measurement")
+    others = [name for name in measured if run.unit("/measurement", name) in ("rad", "m")]
+    return [name for name in _ANGLES if run.truth(name) is not None] or others
 
 
 def _in_order(names: Iterable[str]) -> list[str]:

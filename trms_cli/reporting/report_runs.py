@@ -71,8 +71,11 @@ def findings_of_run(run: RunReport, *, title: str = "") -> Findings:
         marks = run_panels.event_marks(run)
         first[0] = replace(first[0], marks=[*first[0].marks, *marks])
     torques = [replace(panel, half=True) for panel in run_panels.torque_panels(run)]
+    positions = any(run.unit("/measurement", name) == "m" for name in channels)
     sections = [
-        plot_section("Angles and commands", first, HOW_TO_TURN),
+        plot_section(
+            "Positions and commands" if positions else "Angles and commands", first, HOW_TO_TURN
+        ),
         Section("Score", [f"{words}." for words in warnings_of(run.score)], tables_of(run.score)),
         plot_section("Speeds, rates and torques", [*run_panels.state_panels(run), *torques]),
         plot_section(
