@@ -29,13 +29,13 @@ _OF_SIGNALS = ("ref", "controller")
 
 
 def takes_own_names(keys: DeclaredKeys, key: str) -> bool:
-    """Whether a key lies in a mapping by signal, and the model is one of the user's."""
+    """Whether a key is a mapping by signal, or in one, and the model is one of the user's."""
     parts = key.split(".")
     if not (_has_own_names(keys) and _is_ours(keys, parts[0])):
         return False
     if parts[0] in _OF_SIGNALS and _has_usual_names(keys, parts[0]):
         return True
-    nodes = [keys.value(".".join(parts[:n])) for n in range(2, len(parts))]
+    nodes = [keys.value(".".join(parts[:n])) for n in range(2, len(parts) + 1)]
     return any(isinstance(node, Mapping) and node and {*node} <= _USUAL for node in nodes)
 
 

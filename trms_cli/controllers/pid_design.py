@@ -119,7 +119,11 @@ class PidDesign:
                 remedy="choose newton_mpc or lqr",
             )
         speed = 1 / bench_ratios(model).time
-        designs = self._in_time(speed)._designed(model, step, step * speed)
+        named = any(name in point for point in self.operating_points for name in model.controlled)
+        # of a model that none of them names there is but one, at rest
+        points = self.operating_points if named or model.bench_sizes else ({},)
+        wanted = replace(self._in_time(speed), operating_points=points)
+        designs = wanted._designed(model, step, step * speed)
         return {name: _in_seconds(design, speed) for name, design in designs.items()}
 
     def _in_time(self, speed: float) -> PidDesign:
@@ -223,9 +227,7 @@ class PidDesign:
     def _points(self, model: Model, step: float, steady: SteadyState) -> list[LinearModel]:
         linearisation = Linearisation(model, step, steady)
         points = []
-        # of a model that none of them names they are all the same, at rest
-        named = any(name in point for point in self.operating_points for name in model.controlled)
-        for i, angles in enumerate(self.operating_points if named else self.operating_points[:1]):
+        for i, angles in enumerate(self.operating_points):
             where = f"controller.operating_points[{i}]"
             points.append(linearisation.at(angles, where))
             if any(map(self._is_tuned, model.axes)):
@@ -265,8 +267,9 @@ class PidDesign:
         for angles, (A, _, _) in zip(self.operating_points, systems, strict=True):
             if np.abs(np.linalg.eigvals(A)).max() > 1 + _GROWTH:
                 where = ", ".join(f"{angle}={value:g}" for angle, value in angles.items())
+                where = f"{where} rad" if where else "rest"
                 raise ConfigurationError(
-                    f"with these gains the loop of {name} is unstable at {where} rad, "
+                    f"with these gains the loop of {name} is unstable at {where}, "
                     "and the other axis cannot be tuned beside it",
                     where=f"controller.{name}",
                     remedy="give a larger kd (N m s/rad; the axis hardly damps itself), smaller kp "
