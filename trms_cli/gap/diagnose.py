@@ -21,7 +21,13 @@ from trms_cli.gap.flexible import fit_flexible
 from trms_cli.gap.model_form import leads, refit_with_free_form
 from trms_cli.gap.onset import diagnose_onset
 from trms_cli.gap.posterior import Posterior, posterior_of
-from trms_cli.gap.problem import CandidateEffect, GapProblem, applicable_candidates, divide
+from trms_cli.gap.problem import (
+    CandidateEffect,
+    GapProblem,
+    applicable_candidates,
+    divide,
+    finest_step,
+)
 from trms_cli.gap.race import EFFORTS, Checkpoint, run_race
 from trms_cli.gap.residuals import innovation_tests, locate, smoothed_forces
 from trms_cli.gap.shrinkage import SealedRuns, sealed_comparison
@@ -115,6 +121,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         problem.model.stops,
         _GLANCE if quick and not problem.investigates else np.inf,
         of_each=problem.investigates,
+        finest=finest_step(problem.model, problem.datasets),
     )
     free = nominal_parameters(problem.model)
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)

@@ -82,6 +82,8 @@ def diagnosed_recordings(datasets: Sequence[Dataset]) -> tuple[DiagnosedRecordin
 #: s. Recordings that are sampled faster are thinned: no effect of the library needs more, and a
 #: filter's cost goes with the number of samples.
 _FINEST = 0.0095
+#: So many samples a search affords where a finer step says more.
+_MOST_SAMPLES = 6000
 #: s. A sealed part shorter than this cannot show a free run of ten seconds.
 _LEAST_SEALED = 12.0
 #: An angle beyond this share of its mechanical range touches the stop.
@@ -168,6 +170,7 @@ def divide(
     most: float = np.inf,
     *,
     of_each: bool = False,
+    finest: float = _FINEST,
 ) -> Parts:
     """Seal the end of each recording, or the last recordings where there are several.
 
@@ -175,9 +178,10 @@ def divide(
     mechanical range of angles, rad: from a contact with a stop to the end of its block nothing is
     compared, for no model of free motion follows there. ``most``: s, fitted of what is not sealed,
     the newest. ``of_each``: seal the end of each also of several, for the last ones say what the
-    others do not. Raises ConfigurationError if hardly anything would be left.
+    others do not. ``finest``: s, steps below which a recording is thinned. Raises
+    ConfigurationError if hardly anything would be left.
     """
-    whole = tuple(thin_dataset(dataset) for dataset in datasets)
+    whole = tuple(thin_dataset(dataset, finest) for dataset in datasets)
     total = sum(dataset.duration for dataset in whole)
     if len(whole) >= _SEVERAL and not of_each:
         whole = tuple(with_noise(dataset) for dataset in whole)
@@ -297,12 +301,24 @@ def _power_of_ten(value: float) -> float:
     return float(10.0 ** np.ceil(np.log10(value)))
 
 
-def thin_dataset(dataset: Dataset) -> Dataset:
+def finest_step(model: Model, datasets: Sequence[Dataset]) -> float:
+    """s, sampling steps below which recordings are thinned: as fine as a search can afford.
+
+    A rig whose dry friction is a good part of all forces sticks and slides within a few ms; on
+    small benches nothing happens so fast.
+    """
+    if model.bench_sizes or model.sample_time is not None:
+        return _FINEST
+    return min(_FINEST, sum(dataset.duration for dataset in datasets) / _MOST_SAMPLES)
+
+
+def thin_dataset(dataset: Dataset, finest: float = _FINEST) -> Dataset:
     """Every few samples of a fast recording; commands are averaged over the new step.
 
     Not every effect stands a coarse step: a delay does, for the commands' average moves with it.
+    ``finest``: s.
     """
-    factor = int(np.ceil(_FINEST / dataset.sample_time - 1e-9))
+    factor = int(np.ceil(finest / dataset.sample_time - 1e-9))
     if factor < 2:
         return dataset
     n = len(dataset) // factor * factor

@@ -19,6 +19,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.effects.effect import Effect
+from trms_cli.effects.input_bias import InputBias
 from trms_cli.gap.beginning import (
     at_its_moment,
     beginning_at,
@@ -213,7 +215,7 @@ class _Search:
             structure = self._refit.structure.with_effects(candidate)
             own_signs = [sign for sign in (signs[0], signs[-1]) if len(sign.rows(name))]
             sizes = [_promising_sizes(candidate, sign, 0.3) for sign in own_signs]
-            more = _other_frequencies(candidate, signs[0], 0.3)
+            more = _other_frequencies(candidate, signs[0], 0.3) + self._grid(candidate)
             return self._once(
                 f"single {name}",
                 structure,
@@ -234,6 +236,18 @@ class _Search:
         entries.sort(key=lambda e: -e.fit.score)
         self._least = max((entry.fit.score for entry in entries), default=-np.inf)
         return self._each(final, entries[: effort.finalists], (0.55, 0.75), "comparing")
+
+    def _grid(self, candidate: CandidateEffect) -> list[dict[str, float]]:
+        """Dry friction at each size that it is tried at, about the priors' centre.
+
+        On a rig whose friction is a good part of all forces no slope leads there from far away:
+        where the model sticks and the rig does not is a matter of its size.
+        """
+        problem = self._refit.structure.problem
+        if problem.model.bench_sizes or not _is_dry_friction(candidate):
+            return []
+        prior = {p.name: p.prior_mean for p in problem.free}
+        return [prior | _sizes_of_row(candidate, row) for row in candidate.variants]
 
     def later(self, alone: Sequence[FittedModel]) -> dict[tuple[str, ...], FittedModel]:
         """Single effects that begin within the recordings, by their names."""
@@ -338,15 +352,14 @@ class _Search:
         worse, their search had stopped too early.
         """
         scores = {entry.names: entry.fit.score for entry in entries}
+        is_bench = self._refit.structure.problem.model.bench_sizes
         simpler: dict[tuple[str, ...], tuple[FittedModel, ModelStructure]] = {}
         for entry in sorted(entries, key=lambda e: -e.fit.score)[: self._effort.finalists]:
             own = entry.structure.effects
-            left = [c for c in own if not c.has_vanished(entry.values)]
-            score = scores.get(tuple(sorted(c.name for c in left)))
-            is_short = score is not None and entry.fit.score > score + _ENTRANCE
-            effects = (
-                left if is_short else [c.at_sizes(entry.values, self._candidates) for c in own]
-            )
+            left = [c for c in own if is_bench or not c.has_vanished(entry.values)] or own
+            score = scores.get(tuple(sorted(c.name for c in left)), -np.inf)
+            is_short = entry.fit.score > score + _ENTRANCE
+            effects = [c if is_short else c.at_sizes(entry.values, self._candidates) for c in left]
             structure = self._refit.structure.with_effects(*{e.name: e for e in effects}.values())
             if is_short or structure.names not in scores:
                 simpler.setdefault(structure.names, (entry, structure))
@@ -404,7 +417,13 @@ class _Search:
         """Effects whose traces point at what the best leaves over."""
         raced_names = {frozenset(entry.names) for entry in entries}
         places = self._beside(best, best.names)
-        return [p for p in places if p.promise > _ENTRANCE and p.names not in raced_names]
+        is_dry = any(_is_dry_friction(candidate) for candidate in best.structure.effects)
+
+        def is_worth_it(place: _Place) -> bool:
+            is_constant = isinstance(self._candidates[place.name].effect, InputBias)
+            return place.promise > _ENTRANCE or (is_dry and is_constant)
+
+        return [p for p in places if is_worth_it(p) and p.names not in raced_names]
 
     def _exchanges(
         self, best: FittedModel, entries: Sequence[FittedModel], signs: Sequence[Signatures]
@@ -441,11 +460,16 @@ class _Search:
     def _beside(self, base: FittedModel, but_for: Sequence[str]) -> list[_Place]:
         """The most promising, in the fit's own metric and in a tighter one.
 
-        What a partner would explain, the fit takes for discrepancy as long as it lacks it.
+        What a partner would explain, the fit takes for discrepancy as long as it lacks it. A
+        constant force beside dry friction hardly has a trace, for friction holds against it: it is
+        always tried.
         """
         signs = [project_traces(base, self._traces), project_traces(_tightened(base), self._traces)]
         others = {n: c for n, c in self._candidates.items() if n not in but_for}
         names = short_list(signs, others, self._effort.pairs)
+        if any(_is_dry_friction(candidate) for candidate in base.structure.effects):
+            constant = (n for n, c in others.items() if isinstance(c.effect, InputBias))
+            names = list(dict.fromkeys((*names, *constant)))
         return [
             _Place(base, max(signs, key=lambda sign: sign.best(name)[0]), name) for name in names
         ]
@@ -531,6 +555,10 @@ class _Search:
                     pool.shutdown(wait=True, cancel_futures=True)
                     break
         return results
+
+
+def _is_dry_friction(candidate: CandidateEffect) -> bool:
+    return type(candidate.effect).impulse is not Effect.impulse
 
 
 def better_of(entries: Sequence[FittedModel], again: Sequence[FittedModel]) -> list[FittedModel]:

@@ -63,6 +63,13 @@ class RecordedMotions:
         if len(momenta) != len(angles):
             raise ValueError(f"model {model.name!r} has no momentum for each axis")
         self._angles, self._momenta = angles, momenta
+        #: By rotor: its speed, and the currents that drive it
+        self._of_rotor: dict[str, list[int]] = {}
+        for rotor, speed in model.rotor_speeds.items():
+            row = model.state_index(speed)
+            acts = ca.jacobian(f[row], x).sparsity().get_col()
+            currents = [i for i in acts if model.states[i].unit == "A"]
+            self._of_rotor[rotor] = [row, *currents]
         numbers = ca.DM(model.parameters.values)
         f = ca.substitute(ca.substitute(f, p, numbers), w, ca.DM.zeros(model.n_w))
         rates = ca.vertcat(*[f[i] for i in angles])
@@ -124,9 +131,8 @@ class RecordedMotions:
             rotor = model.rotor_of(name)
             if rotor is not None:
                 own = model.rotors[rotor]
-                for state in (own.speed, f"i{own.speed[-2:]}"):
-                    if state in model.state_names:
-                        at_rest[model.state_index(state)] = 0.0
+                for row in self._of_rotor.get(rotor, ()):
+                    at_rest[row] = 0.0
                 silent[names(model.inputs).index(own.input)] = 0.0
             at_rest[self._momenta] = self._mapped(self._momentum_of, at_rest, silent, rate.T)
             without = self._mapped(self._acceleration, at_rest, silent)[i]

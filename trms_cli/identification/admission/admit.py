@@ -102,8 +102,9 @@ def _by_model(dataset: Dataset, model: Model) -> Iterator[Issue]:
     issues = issues_by_model(dataset, model)
     scales = time_scales(dataset, model) if issues else None
     periods = dataset.duration / scales.slowest if scales is not None else np.inf
+    speeds = set(model.rotor_speeds.values())
     for issue in issues:
-        if issue.check in ("sign", "swapped") and not issue.channel.startswith("omega"):
+        if issue.check in ("sign", "swapped") and issue.channel not in speeds:
             if periods < LEAST_PERIODS:
                 continue
             if periods < _TELLING_PERIODS:

@@ -15,6 +15,7 @@ from trms_cli.identification.admission.issues import Issue, Severity
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.recorded_motion import RecordedMotion, RecordedMotions, smooth_motion
 from trms_cli.models.model import Model, names
+from trms_cli.models.rig_parts import parts_of
 
 #: Correlation of a speed with what the command makes of it: clear, and none.
 _CLEAR, _NONE = 0.6, 0.4
@@ -30,9 +31,9 @@ _BETTER = 0.3
 #: rad/s of the model's speed below which a rotor is at rest.
 _TURNS = 5.0
 _LEAST_SAMPLES = 100
-#: rad by which pitch may be off the model's: counterweights of the priors move rest by some 0.1.
-_OFF_PITCH = 0.25
-#: Zeros of pitch that are looked for, rad, and how finely.
+#: rad by which a beam may be off the model's: counterweights of the priors move rest by some 0.1.
+_OFF_LEVEL = 0.25
+#: Zeros of its angle that are looked for, rad, and how finely.
 _FARTHEST_ZERO, _ZERO_STEP = 1.5, 0.01
 #: Share of the squared error of the acceleration that another zero must take away.
 _ZERO_EXPLAINS = 0.5
@@ -59,15 +60,15 @@ def issues_by_model(dataset: Dataset, model: Model) -> list[Issue]:
     swapped = list(_swapped(dataset, motions, motion, thrusts))
     if swapped:
         return swapped
-    speeds = list(_speeds(dataset, motion))
-    named = {finding.channel[-2:] for finding in speeds}
-    issues = [*speeds, *_angles(dataset, motions, thrusts, named)]
+    speeds = list(_speeds(dataset, model, motion))
+    issues = [*speeds, *_angles(dataset, motions, thrusts, {issue.channel for issue in speeds})]
     return issues or list(_zero(dataset, motions, motion))
 
 
-def _speeds(dataset: Dataset, motion: RecordedMotion) -> Iterator[Issue]:
+def _speeds(dataset: Dataset, model: Model, motion: RecordedMotion) -> Iterator[Issue]:
+    commands = {rotor.speed: rotor.input for rotor in model.rotors.values()}
     for name, (correlation, ratio) in _followed(dataset, motion).items():
-        command, follows = f"u{name[-2:]}", correlation > _CLEAR
+        command, follows = commands[name], correlation > _CLEAR
         times = f"times what {command} makes of it"
         header = f"write the unit into the header: {name}"
         checks: tuple[tuple[bool, str, Severity, str, str], ...] = (
@@ -114,12 +115,17 @@ def _speeds(dataset: Dataset, motion: RecordedMotion) -> Iterator[Issue]:
 
 
 def _angles(
-    dataset: Dataset, motions: RecordedMotions, thrusts: dict[str, _Thrust], suffixes: set[str]
+    dataset: Dataset, motions: RecordedMotions, thrusts: dict[str, _Thrust], wrong: set[str]
 ) -> Iterator[Issue]:
+    """``wrong``: speeds that are; what these rotors turn is not judged."""
+    parts = parts_of(motions.model)
     for name, thrust in thrusts.items():
-        if name[-2:] in suffixes:
+        axis = next(own for own, one in parts.axes.items() if one.angle == name)
+        rotor = parts.rotors.get(parts.drive_of(axis))
+        if rotor is None or rotor.speed in wrong:
             continue
-        command = f"u{name[-2:]}"
+        command = rotor.input
+        upwards = f" ({parts.beam} is positive upwards)" if parts.beam else ""
         if thrust.factor < 0 and (
             thrust.share > _EXPLAINS or _turned_round(dataset, motions, name, thrust)
         ):
@@ -129,8 +135,7 @@ def _angles(
                 dataset.name,
                 name,
                 f"{name} moves the other way than {command} drives it in the model",
-                f"turn round the sign of {name} (pitch is positive upwards) or of {command} in "
-                "the file",
+                f"turn round the sign of {name}{upwards} or of {command} in the file",
             )
         elif thrust.share < _EXPLAINS:
             continue
@@ -146,24 +151,25 @@ def _angles(
 
 
 def _zero(dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion) -> Iterator[Issue]:
-    """Whether pitch is counted from another zero than the level beam.
+    """Whether the angle of a beam is counted from another zero than that of the level beam.
 
-    Over a recording pitch goes nowhere, so its mean acceleration is that of weight and thrust
+    Over a recording it goes nowhere, so its mean acceleration is that of weight and thrust
     in balance; the angle that must be added for it is where zero is.
     """
-    name = "alpha_v"
+    parts = parts_of(motions.model)
+    name = parts.axes[parts.beam].angle if parts.beam else ""
     if name not in motion.accelerations:
         return
     off = _imbalance(dataset, motion, name)
     if off is None:
         return
-    pitch = dataset.output(name)
-    pitch = pitch[np.isfinite(pitch)]
-    pitch = pitch[:: max(1, len(pitch) // _SPARSE)]
+    angle = dataset.output(name)
+    angle = angle[np.isfinite(angle)]
+    angle = angle[:: max(1, len(angle) // _SPARSE)]
     count = round(_FARTHEST_ZERO / _ZERO_STEP)
     shifts = _ZERO_STEP * np.arange(-count, count + 1)
-    weight = motions.at_rest(name, np.add.outer(shifts, pitch).ravel())
-    mean = weight.reshape(len(shifts), len(pitch)).mean(axis=1)
+    weight = motions.at_rest(name, np.add.outer(shifts, angle).ravel())
+    mean = weight.reshape(len(shifts), len(angle)).mean(axis=1)
     # Only where weight draws back: the other root is the beam upside down.
     balance = np.mean(off) + mean[count] - mean
     roots = np.flatnonzero((balance[:-1] < 0) & (balance[1:] >= 0))
@@ -171,7 +177,7 @@ def _zero(dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion) ->
         return
     k = int(roots[np.argmin(np.abs(shifts[roots]))])
     shift = float(shifts[k] - balance[k] * _ZERO_STEP / (balance[k + 1] - balance[k]))
-    if abs(shift) < _OFF_PITCH:
+    if abs(shift) < _OFF_LEVEL:
         return
     measurements = dataset.measurements.copy()
     measurements[:, names(dataset.outputs).index(name)] += shift
@@ -181,15 +187,15 @@ def _zero(dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion) ->
         return
     rest = float(motions.model.rest()[motions.model.state_index(name)])
     hanging = ""
-    if abs(shift - rest) < _OFF_PITCH:
+    if abs(shift - rest) < _OFF_LEVEL:
         hanging = ", as an encoder that was switched on while the beam hung"
     yield Issue(
         "zero",
         "warning",
         dataset.name,
         name,
-        f"{name} is off by a constant {-shift:.2f} rad: the model counts pitch from the level "
-        f"beam and hangs at {rest:.2f} rad without thrust{hanging}",
+        f"{name} is off by a constant {-shift:.2f} rad: the model counts {parts.beam} from the "
+        f"level beam and hangs at {rest:.2f} rad without thrust{hanging}",
         f"if so: 'data.offset={{{name}: {rest if hanging else shift:.2f}}}' adds it; if the beam "
         "is balanced otherwise or the thrusts are, leave it",
     )
@@ -219,12 +225,16 @@ def _swapped(
     dataset: Dataset, motions: RecordedMotions, motion: RecordedMotion, thrusts: dict[str, _Thrust]
 ) -> Iterator[Issue]:
     """Whether two inputs, or the two angles, are in each other's place."""
-    inputs = names(dataset.inputs)
+    inputs, parts = names(dataset.inputs), parts_of(motions.model)
+    rotors = {rotor.input: own for own, rotor in parts.rotors.items()}
+    axes = {axis.angle: own for own, axis in parts.axes.items()}
     poor = [t for t in thrusts.values() if t.share < _LITTLE or t.factor < 0]
     followed = _followed(dataset, motion)
     weak_correlations = [c for c, _ in followed.values() if c < _CLEAR]
-    if "u_v" in inputs and "u_h" in inputs and (weak_correlations or (not followed and poor)):
-        i, j = inputs.index("u_v"), inputs.index("u_h")
+    is_weak = bool(weak_correlations or (not followed and poor))
+    if len(rotors) == 2 and set(rotors) <= set(inputs) and is_weak:
+        one, two = rotors
+        i, j = inputs.index(one), inputs.index(two)
         other = replace(dataset, commands=_exchanged(dataset.commands, i, j))
         other_motion = motions.of(other)
         again = _followed(other, other_motion)
@@ -241,15 +251,16 @@ def _swapped(
                 "swapped",
                 "error",
                 dataset.name,
-                "u_v",
-                "u_v and u_h are in each other's place: the motion follows them the other way "
+                one,
+                f"{one} and {two} are in each other's place: the motion follows them the other way "
                 "round",
-                "swap the two columns' names (u_v is the main rotor); if the speeds are "
-                "recorded, theirs may be swapped instead",
+                f"swap the two columns' names ({one} is the {rotors[one]} rotor); if the speeds "
+                "are recorded, theirs may be swapped instead",
             )
             return
-    if len(poor) == 2 and "alpha_v" in thrusts and "alpha_h" in thrusts:
-        i, j = (names(dataset.outputs).index(name) for name in ("alpha_v", "alpha_h"))
+    if len(poor) == len(axes) == 2 and set(axes) == set(thrusts):
+        one, two = axes
+        i, j = (names(dataset.outputs).index(name) for name in axes)
         other = replace(dataset, measurements=_exchanged(dataset.measurements, i, j))
         again_thrusts = _thrusts(other, motions.of(other))
         right = all(t.factor > 0 and t.share > _EXPLAINS for t in again_thrusts.values())
@@ -258,9 +269,9 @@ def _swapped(
                 "swapped",
                 "error",
                 dataset.name,
-                "alpha_v",
-                "alpha_v and alpha_h are in each other's place: each moves as the other should",
-                "swap the two columns' names (alpha_v is pitch)",
+                one,
+                f"{one} and {two} are in each other's place: each moves as the other should",
+                f"swap the two columns' names ({one} is {axes[one]})",
             )
 
 
