@@ -32,13 +32,14 @@ PAGES = sorted(
     for page in ROOT.glob(pattern)
 )  # fmt: skip
 #: Pages whose runs are looked at afterwards: as long as they say.
-WHOLE = ["docs/recordings.md", "docs/excitation.md", "docs/your-own-rig.md"]
+WHOLE = ["docs/recordings.md", "docs/excitation.md"]
 #: Pages that a test of their own types; so do those of examples.
 ELSEWHERE = {"docs/identify.md"}
 #: Pages that are typed in seconds; the others are left to `make slow`.
 QUICK = {"docs/writing-a-plugin.md", *WHOLE, "docs/foxglove.md", "docs/how-to/cluster-sweep.md",
          "docs/how-to/own-controller.md", "docs/how-to/own-effect.md",
          "docs/how-to/own-rig-from-csv.md"}  # fmt: skip
+WHOLE += ["docs/your-own-rig.md"]  # with a diagnosis
 #: Pages that only lead to others, and the glossary itself.
 FRONT = {"index.md", "start.md", "glossary.md", "choices.md"}
 _SHORT = 2.0  # s
