@@ -1,0 +1,235 @@
+"""Diagnoses of rigs with names of their own: a servo drive, and a cart-pole that falls over."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trms_cli.core.chart import RigDiagram
+from trms_cli.effects.extended_model import ExtendedModel
+from trms_cli.effects.residual import ResidualForce, term_names
+from trms_cli.gap.diagnose import diagnose
+from trms_cli.gap.force.description import description, regions
+from trms_cli.gap.force.laws import ForceRecord, explained_shares
+from trms_cli.gap.force.short_law import short_law_of
+from trms_cli.gap.free_runs import expected_errors
+from trms_cli.gap.problem import (
+    GapProblem,
+    applicable_candidates,
+    finest_step,
+    horizons_of,
+    poor_excitation,
+    quantum_of,
+)
+from trms_cli.gap.worth import reference_words, sine_within
+from trms_cli.identification.dataset import Dataset
+from trms_cli.library.tasks.diagnose import candidates_of
+from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.rig_parts import BEAM, diagram_rows, parts_of
+from trms_cli.models.scales import longest_run
+from trms_cli.reporting.rig_diagram import diagram
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+sys.path[:0] = [str(EXAMPLES / "servo_drive"), str(EXAMPLES / "cart_pole")]
+
+from cart_pole.model import CartPole  # noqa: E402
+from servo_drive.model import ServoDrive  # noqa: E402
+
+STEP, SUBSTEPS = 0.01, 20
+SERVO, POLE = ServoDrive(), CartPole()
+
+
+def levels(random: np.random.Generator, samples: int, size: float) -> np.ndarray:
+    holds = random.integers(10, 70, samples // 10)
+    return np.repeat(random.uniform(-size, size, len(holds)), holds)[:samples]
+
+
+def servo_recording(seconds: float, friction: float, seed: int = 1) -> Dataset:
+    """Random levels of current and a weak loop; friction is set-valued at rest."""
+    random = np.random.default_rng(seed)
+    samples, h = round(seconds / STEP), STEP / SUBSTEPS
+    asked, x, v = levels(random, samples, 2.0), 0.0, 0.0
+    u, y = np.zeros(samples), np.zeros(samples)
+    for k in range(samples):
+        y[k] = 1e-5 * np.round((x + 2e-5 * random.standard_normal()) / 1e-5)
+        u[k] = asked[k] - 3.0 * y[k]
+        for _ in range(SUBSTEPS):
+            free = v + h * (40.0 * u[k] - 60.0 * v) / 12.3
+            before, v = v, np.sign(free) * max(abs(free) - h * friction / 12.3, 0.0)
+            x += h * (v + before) / 2
+    return recording(SERVO, u, y[:, None], [3e-5])
+
+
+def pole_recording(seconds: float, friction: float, seed: int = 1) -> Dataset:
+    """Held upright by a feedback of its states, whose rates are differences of readings."""
+    random = np.random.default_rng(seed)
+    samples, h = round(seconds / STEP), STEP / SUBSTEPS
+    gain = np.array([-20.0, -14.5, -64.4, -10.6])  # places the poles left of -3
+    x, rates, before = np.array([0.0, 0.0, 0.02, 0.0]), np.zeros(2), np.array([0.0, 0.02])
+    moves, pushes = levels(random, samples, 0.06), levels(random, samples, 0.6)
+    u, readings = np.zeros(samples), np.zeros((samples, 2))
+    for k in range(samples):
+        y = np.array([x[0], x[2]]) + np.array([1e-4, 3e-4]) * random.standard_normal(2)
+        rates, before = 0.6 * rates + 0.4 * (y - before) / STEP, y
+        readings[k] = y
+        u[k] = -gain @ np.array([y[0] - moves[k], rates[0], y[1], rates[1]]) + pushes[k]
+        for _ in range(SUBSTEPS):
+            _, v, angle, rate = x
+            coupling = 0.045 * np.cos(angle)
+            mass = np.linalg.inv(np.array([[0.95, coupling], [coupling, 0.0135]]))
+            forces = [u[k] - 2.0 * v + 0.045 * np.sin(angle) * rate**2]
+            forces.append(0.15 * 9.81 * 0.3 * np.sin(angle) - 0.002 * rate)
+            after = np.array([v, rate]) + h * mass @ np.array(forces)
+            impulse = np.clip(-after[0] / mass[0, 0], -h * friction, h * friction)
+            after += mass[:, 0] * impulse
+            x += h * np.array([(v + after[0]) / 2, 0.0, (rate + after[1]) / 2, 0.0])
+            x[[1, 3]] = after
+    assert np.abs(readings[:, 1]).max() < 0.3, "it fell"
+    return recording(POLE, u, readings, [1e-4, 3e-4])
+
+
+def recording(model, u: np.ndarray, y: np.ndarray, noise: list[float]) -> Dataset:
+    return Dataset(
+        "rig", "rig.csv", "0" * 64, STEP, STEP * np.arange(len(u)), model.inputs, model.outputs,
+        u[:, None], y, np.array(noise),
+    )  # fmt: skip
+
+
+def answer_of(model, dataset: Dataset, *candidates: str, effort="quick"):
+    problem = GapProblem(
+        model=model, model_name=model.name, datasets=(dataset,), effort=effort, advise=False,
+        candidates=candidates_of(candidates or ("all",), model).effects, jobs=1,
+    )  # fmt: skip
+    return diagnose(problem)
+
+
+def test_friction_of_a_servo_drive_is_told_in_newton():
+    names = ("carriage_coulomb_friction", "carriage_quadratic_damping", "current_delay")
+    answer = answer_of(SERVO, servo_recording(40.0, 10.0), *names)
+    assert answer.verdict == "effect" and answer.where[0].location == "carriage_force"
+    top = answer.causes[0]
+    size = top.parameters["carriage_coulomb_friction.torque"]
+    assert top.effects == ("carriage_coulomb_friction",) and top.probability > 0.9
+    assert size.unit == "N" and size.value == pytest.approx(10.0, rel=0.1)
+    assert (
+        "carriage Coulomb friction causes it" in answer.sentence and "force 9." in answer.sentence
+    )
+    assert "N m" not in answer.sentence and not answer.excitation
+
+
+@pytest.mark.slow
+def test_a_servo_drive_without_a_gap_has_no_effect():
+    answer = answer_of(SERVO, servo_recording(60.0, 0.0), effort="normal")
+    assert answer.verdict in ("no_gap", "parameters_only")
+
+
+@pytest.mark.slow
+def test_friction_of_a_cart_whose_pole_falls_over():
+    answer = answer_of(POLE, pole_recording(60.0, 0.5), effort="normal")
+    top = answer.causes[0]
+    assert answer.verdict == "effect" and answer.where[0].location == "cart_force"
+    assert set(top.effects) <= {"cart_coulomb_friction", "cart_stribeck_friction"}
+    assert set(answer.gap["angle"]) == {"0.1", "0.5"} and "at 0.5 s" in answer.sentence
+    assert answer.shrink["all"]["0.5"].fraction > 0.8
+
+
+def test_runs_of_what_falls_over_are_short():
+    assert longest_run(SERVO) == np.inf and longest_run(Newtonian()) == np.inf
+    assert horizons_of(SERVO) == (0.1, 0.5, 2.0, 10.0)
+    # e^3.5-fold by √((M + m) g/(M l)) = 6.2 1/s, slowed a little by the cart's friction
+    assert 0.5 < longest_run(POLE) < 0.62 and horizons_of(POLE) == (0.1, 0.5)
+
+
+def test_the_floor_of_what_falls_over_grows_with_the_horizon_as_its_errors_do():
+    dataset = pole_recording(12.0, 0.0)
+    floor = expected_errors(POLE, [dataset], [(0, 600, 1200)], horizons=horizons_of(POLE))
+    angle = {horizon: errors.rms for horizon, errors in floor["angle"].items()}
+    assert 2e-4 < angle[0.1] < 1e-3 and angle[0.1] < angle[0.5] < 0.02
+
+
+def servo_record() -> ForceRecord:
+    """Dry friction on a motion that is given."""
+    random = np.random.default_rng(4)
+    time = STEP * np.arange(6000)
+    rate = 0.2 * np.cumsum(random.standard_normal((6, 6000)), axis=1).mean(axis=0) * 0.05
+    rate += 0.2 * np.sin(3.0 * time)
+    force = -8.0 * np.tanh(rate / 0.005)
+    return ForceRecord(
+        location="carriage_force", unit="N", time=time, recording=np.zeros(6000, dtype=np.int64),
+        force=force + random.standard_normal(6000), sd=np.ones(6000), parts=parts_of(SERVO),
+        angles={"carriage": STEP * np.cumsum(rate)}, rates={"carriage": rate},
+        commands={"current": random.standard_normal(6000)},
+    )  # fmt: skip
+
+
+def test_a_force_is_described_by_the_models_own_words():
+    record = servo_record()
+    assert list(record.variables) == ["carriage position", "carriage velocity", "current command"]
+    assert (record.axis, record.kind, record.drive) == ("carriage", "moment", "current")
+    shares = explained_shares(record)
+    assert max(shares, key=shares.get) == "sign_of_rate" and shares["thrust"] == 0.0
+    text = " ".join((*description(record, 0.9), *short_law_of(record)))
+    assert "sign of the carriage velocity (dry friction)" in text and "sgn velocity" in text
+    assert "per metre of travel" in text and "positions, velocities and commands" in text
+    text += " ".join(region.condition for region in regions(record))
+    assert not [word for word in ("rad", "pitch", "yaw", "rotor", " V") if word in text]
+
+
+def test_parts_of_the_beam_are_those_of_its_models():
+    parts = parts_of(Newtonian())
+    assert (parts.tilting, parts.beam) == (BEAM.tilting, BEAM.beam) == ("pitch", "pitch")
+    assert dict(parts.axes) == dict(BEAM.axes) and dict(parts.drives) == dict(BEAM.drives)
+    assert parts.axis_at("main_motor") == "pitch" and parts.kind_of("main_motor") == "motor"
+    assert (
+        parts.rate_symbol("yaw") == "Ω_h" and parts_of(SERVO).rate_symbol("carriage") == "velocity"
+    )
+
+
+def test_the_diagram_has_the_places_of_the_model():
+    servo, cart = (diagram_rows(parts_of(model)) for model in (SERVO, POLE))
+    assert [list(row.places.values()) for row in servo] == [
+        ["current_actuator", "carriage_force", "carriage_sensor"]
+    ]
+    assert [row.places.get("moment") for row in cart] == ["cart_force", "joint_torque"]
+    assert [(row.command, row.output) for row in cart] == [("force", "position"), ("", "angle")]
+    texts = [t.get_text() for t in diagram(RigDiagram("rig", {}, (), "", cart)).axes[0].texts]
+    assert {"joint torque", "cart sensor", "position", "angle"} <= set(texts)
+
+
+def test_a_residual_of_any_axis_has_terms_of_the_models_own_variables():
+    names = term_names(SERVO, "carriage_force")
+    assert "carriage_velocity_sign" in names and "current_command_cube" in names
+    assert not [name for name in names if "sine" in name]  # nothing turns
+    assert "joint_angle_sine_3" in term_names(POLE, "joint_torque")
+    effect = ResidualForce(equation="carriage_force", terms=(("carriage_velocity_sign", -8.0),))
+    assert ExtendedModel(SERVO, "carriage_residual_force", effect).n_x == 2
+
+
+def test_scales_of_what_is_read_off_a_recording():
+    values = 1e-7 * np.round(1e7 * 1e-4 * np.random.default_rng(0).standard_normal(2000))
+    assert quantum_of(values, "m") == pytest.approx(1e-7, rel=1e-6)
+    assert quantum_of(values) == 0.0  # of an angle, these are digits
+    long = replace(servo_recording(1.0, 0.0), sample_time=0.001)
+    assert finest_step(SERVO, [long]) < 0.001 < finest_step(Newtonian(), [long])
+    resting = replace(long, measurements=np.full((len(long), 1), 0.1))
+    (words,) = poor_excitation(SERVO, [resting])
+    assert "carriage is held at one point (0.1 m" in words and "a force on such an axis" in words
+
+
+def test_a_reference_within_what_was_recorded():
+    dataset = servo_recording(4.0, 0.0)
+    sines = sine_within([dataset], ("position",))
+    low, high = np.quantile(dataset.measurements, (0.05, 0.95))
+    assert sines["position"][0] == pytest.approx((high - low) / 2, rel=0.05)
+    assert f"ref.position.amplitude={sines['position'][0]:g}" in reference_words("sine", sines)
+
+
+def test_an_effect_that_does_nothing_has_vanished():
+    candidates, _ = applicable_candidates(SERVO, candidates_of(("all",), SERVO).effects)
+    cogging = candidates["carriage_cogging"]
+    sizes = {"sine": 1e-3, "cosine": -1e-3, "period": 0.05}
+    values = {f"carriage_cogging.{name}": value for name, value in sizes.items()}
+    assert cogging.has_vanished(values)
+    assert not cogging.has_vanished(values | {"carriage_cogging.cosine": 5.0})
