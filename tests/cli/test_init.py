@@ -133,7 +133,7 @@ def test_what_is_typed_comes_before_what_the_folder_says(inside) -> None:
 def test_a_scenario_chooses_before_the_folder_does(rig: Path, monkeypatch) -> None:
     monkeypatch.chdir(rig)
     words = default_words(["experiment=record"], "run")
-    assert "model=my_rig" in words and "controller=my_rig" not in words
+    assert "model=my_rig" in words and "ref=my_rig" not in words
     assert "controller=my_rig" in default_words([], "run")
     assert "controller=my_rig" not in default_words(["controller=lqr"], "run")
     assert default_words([], "identify") == ["model=my_rig", "data=my_rig"]
