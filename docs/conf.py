@@ -85,8 +85,9 @@ html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#00558c", "color-brand-content": "#00558c"},
     "dark_css_variables": {"color-brand-primary": "#7cc4f0", "color-brand-content": "#7cc4f0"},
 }
-pygments_style = "friendly"
-pygments_dark_style = "monokai"
+# every colour of both is dark or light enough for small letters (they come with the theme)
+pygments_style = "a11y-high-contrast-light"
+pygments_dark_style = "a11y-high-contrast-dark"
 
 # `make docs-links` only: needs a network.
 linkcheck_timeout = 20

@@ -3,11 +3,8 @@
 It is built once, as `make docs` builds it, and then read as a browser reads it.
 """
 
-import fcntl
 import json
 import re
-import subprocess
-import sys
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
@@ -59,30 +56,6 @@ class Read(HTMLParser):
             self.scripts += data
         else:
             self.text += data
-
-
-@pytest.fixture(scope="session")
-def site(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
-    """The site, built once for all workers of a test run."""
-    base = tmp_path_factory.getbasetemp()
-    shared = base if worker_id == "master" else base.parent
-    out, said = shared / "site", shared / "site.log"
-    with (shared / "site.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not said.exists():
-            command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
-            command += ["-d", str(shared / "doctrees"), str(ROOT / "docs"), str(out)]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=900)
-            said.write_text(f"{done.returncode}\n{done.stdout}{done.stderr}", encoding="utf-8")
-    code, _, words = said.read_text(encoding="utf-8").partition("\n")
-    assert code == "0", f"the site does not build without a warning:\n{words[-6000:]}"
-    return out
-
-
-@pytest.fixture(scope="session")
-def worker_id(request: pytest.FixtureRequest) -> str:
-    """Name of the process that runs these tests, also where tests run in one."""
-    return str(getattr(request.config, "workerinput", {}).get("workerid", "master"))
 
 
 @pytest.fixture(scope="session")
