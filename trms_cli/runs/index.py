@@ -18,8 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from trms_cli.core.errors import RecordingError
 from trms_cli.runs.columns import COLUMNS, IndexColumn, Sql
+from trms_cli.runs.configurations import BaseConfiguration, flat_of
 from trms_cli.runs.entry import IndexEntry
 
 _TYPES = {"text": "TEXT", "number": "REAL", "whole": "INTEGER", "truth": "INTEGER"}
@@ -30,11 +33,20 @@ _LOGS = (
 _RUNS = (
     "CREATE TABLE IF NOT EXISTS runs ("
     + ", ".join(f'"{column.name}" {_TYPES[column.kind]}' for column in COLUMNS.values())
-    + ", typed TEXT, more TEXT, units TEXT, PRIMARY KEY (log))"
+    + ", typed TEXT, more TEXT, units TEXT, words TEXT, PRIMARY KEY (log))"
+)
+#: Folders of runs as they were looked through: one that has not changed holds the same files.
+_FOLDERS = (
+    "CREATE TABLE IF NOT EXISTS folders (folder TEXT PRIMARY KEY, mtime_ns INTEGER) WITHOUT ROWID"
+)
+#: Coordinates, and the first configuration that had them.
+_BASES = (
+    "CREATE TABLE IF NOT EXISTS bases"
+    " (number INTEGER PRIMARY KEY, coordinates TEXT UNIQUE, config TEXT)"
 )
 #: Changes with the columns, and with what is put into them.
-_CONTENT = 3
-_VERSION = zlib.crc32(f"{_CONTENT} {_LOGS} {_RUNS}".encode()) & 0x7FFFFFFF
+_CONTENT = 4
+_VERSION = zlib.crc32(f"{_CONTENT} {_LOGS} {_RUNS} {_BASES}".encode()) & 0x7FFFFFFF
 _PATIENCE = 20.0  # s, for another process that is writing
 
 #: What a file is: a run, a log of something else, or one that cannot be read; or not yet looked at.
@@ -66,6 +78,32 @@ class LogReading:
         return UNREADABLE if self.problem else RUN if self.entry else OTHER
 
 
+class Row(Mapping[str, Any]):
+    """A run's values by their columns; rows of one answer share the names."""
+
+    __slots__ = ("_places", "_values")
+
+    def __init__(self, places: Mapping[str, int], values: tuple[Any, ...]) -> None:
+        self._places, self._values = places, values
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[self._places[name]]
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The value of a column, or what else is said."""
+        place = self._places.get(name)
+        return default if place is None else self._values[place]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._places
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
 class RunIndex:
     """The open index, in a file that is made if it is not there; None: in memory, of this process.
 
@@ -74,6 +112,7 @@ class RunIndex:
 
     def __init__(self, file: Path | None) -> None:
         self.file = file
+        self._bases: dict[str, BaseConfiguration] = {}
         if file is not None:
             file.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -98,6 +137,9 @@ class RunIndex:
                     self._connection.execute("UPDATE logs SET mtime_ns = -1, kind = 'unseen'")
                     self._connection.execute("DROP TABLE IF EXISTS runs")
                     self._connection.execute(_RUNS)
+                    self._connection.execute("DROP TABLE IF EXISTS bases")
+                    self._connection.execute(_BASES)
+                    self._connection.execute(_FOLDERS)
                     self._connection.execute(f"PRAGMA user_version = {_VERSION}")
         with self._writing():  # a file that cannot be written is told now
             self._connection.execute("SELECT 1 FROM runs, logs LIMIT 1").fetchall()
@@ -134,6 +176,23 @@ class RunIndex:
         )
         return {log: FileStamp(mtime_ns, size) for log, mtime_ns, size in rows}
 
+    def folders(self, roots: Sequence[str] | None) -> dict[str, int]:
+        """Folders of runs under folders (None: all), and when they had last changed, ns."""
+        scope = scope_sql(roots)
+        rows = self._connection.execute(
+            f"SELECT folder, mtime_ns FROM folders WHERE {scope.text.replace('log', 'folder')}",
+            scope.values,
+        )
+        return dict(rows)
+
+    def note_folders(self, folders: Mapping[str, int]) -> None:
+        """Note when folders of runs had last changed before they were looked through, ns."""
+        if folders:
+            with self._writing():
+                self._connection.executemany(
+                    "INSERT OR REPLACE INTO folders VALUES (?, ?)", folders.items()
+                )
+
     def expect(self, logs: Iterable[str]) -> None:
         """Note logs that runs have told of; what is known of them already stays."""
         rows = [(log, UNSEEN) for log in logs]
@@ -145,16 +204,71 @@ class RunIndex:
 
     def put(self, readings: Sequence[LogReading]) -> None:
         """Write what was found out of logs, in place of what was known of them."""
-        names = [*COLUMNS, "typed", "more", "units"]
+        names = [*COLUMNS, "typed", "more", "units", "words"]
         columns = ", ".join(f'"{name}"' for name in names)
         marks = ", ".join("?" * len(names))
         statement = f"INSERT OR REPLACE INTO runs ({columns}) VALUES ({marks})"
         logs = [(a.log, a.stamp.mtime_ns, a.stamp.size, a.kind, a.problem) for a in readings]
-        rows = [_row(a.entry) for a in readings if a.entry is not None]
+        entries = [a.entry for a in readings if a.entry is not None]
         with self._writing():
+            rows = [[*_row(entry), self._words(entry)] for entry in entries]
             self._connection.executemany("DELETE FROM runs WHERE log = ?", [(a[0],) for a in logs])
             self._connection.executemany("INSERT OR REPLACE INTO logs VALUES (?, ?, ?, ?, ?)", logs)
             self._connection.executemany(statement, rows)
+
+    def _words(self, entry: IndexEntry) -> str | None:
+        """What a comparison needs of a run, its configuration as what it changes of another's."""
+        words = entry.words
+        if words is None:
+            return None
+        coordinates = json.dumps(words.coordinates, ensure_ascii=False)
+        try:
+            base = self._base(coordinates, words.config)
+            changes = base.changes(words.config)
+        except yaml.YAMLError:
+            return None
+        parts = [words.state, words.message, words.non_finite, words.seed, base.number, changes]
+        return json.dumps(parts, ensure_ascii=False)
+
+    def _base(self, coordinates: str, config: str) -> BaseConfiguration:
+        """The configuration that others with such coordinates are held against."""
+        if coordinates not in self._bases:
+            self._connection.execute(
+                "INSERT OR IGNORE INTO bases (coordinates, config) VALUES (?, ?)",
+                (coordinates, config),
+            )
+            number, own = self._connection.execute(
+                "SELECT number, config FROM bases WHERE coordinates = ?", (coordinates,)
+            ).fetchone()
+            self._bases[coordinates] = BaseConfiguration(own, number)
+        return self._bases[coordinates]
+
+    def bases(self) -> dict[int, tuple[dict[str, str], dict[str, str]]]:
+        """Of each base by its number the coordinates, and the configuration by dotted keys."""
+        rows = self._connection.execute("SELECT number, coordinates, config FROM bases")
+        return {n: (json.loads(coordinates), flat_of(own)) for n, coordinates, own in rows}
+
+    def compared(
+        self, figures: Sequence[str], condition: Sql
+    ) -> Iterator[tuple[str, str | None, tuple[float | None, ...]]]:
+        """Of each run its log, what a comparison needs of it, and some figures by their columns.
+
+        The words are a JSON list: state, message, commands that were not finite, seed, number of
+        the base, and what it changes of that; None where the log itself has to be read.
+        """
+        columns = "".join(f', "{name}"' for name in figures)
+        for log, words, *values in self._connection.execute(
+            f"SELECT log, words{columns} FROM runs WHERE {condition.text}", condition.values
+        ):
+            yield log, words, tuple(values)
+
+    def others(self, roots: Sequence[str]) -> list[str]:
+        """Files under folders that are no runs, or cannot be read."""
+        scope = scope_sql(roots)
+        rows = self._connection.execute(
+            f"SELECT log FROM logs WHERE kind != 'run' AND {scope.text}", scope.values
+        )
+        return [log for (log,) in rows]
 
     def forget(self, logs: Iterable[str]) -> None:
         """Take out logs that are gone."""
@@ -219,10 +333,12 @@ class RunIndex:
         *,
         descending: bool,
         limit: int | None,
-    ) -> list[dict[str, Any]]:
+        compact: bool = False,
+    ) -> list[Any]:
         """Rows with the columns asked for; None for what a run does not have, always last.
 
-        Raises RecordingError if the database refuses: a filter that is too large for it.
+        ``compact``: as :class:`Row` and not as dicts, for hundreds of thousands. Raises
+        RecordingError if the database refuses: a filter that is too large for it.
         """
         # Positions instead of names: a name is whatever was typed.
         selection = ", ".join(f"{sql.text} AS c{i}" for i, (_, sql) in enumerate(columns.values()))
@@ -236,14 +352,25 @@ class RunIndex:
         )
         try:
             rows = self._connection.execute(statement, [*values, -1 if limit is None else limit])
-            kinds = {name: column.kind for name, (column, _) in columns.items()}
-            return [
-                {
-                    name: bool(value) if kind == "truth" and value is not None else value
-                    for (name, kind), value in zip(kinds.items(), row, strict=True)
-                }
-                for row in rows
-            ]
+            truths = {
+                place
+                for place, (column, _) in enumerate(columns.values())
+                if column.kind == "truth"
+            }
+            places = {name: place for place, name in enumerate(columns)}
+            texts: dict[str, str] = {}
+            made: list[Any] = []
+            for row in rows:
+                values = [
+                    bool(value) if place in truths and value is not None else value
+                    for place, value in enumerate(row)
+                ]
+                if compact:
+                    kept = [texts.setdefault(v, v) if isinstance(v, str) else v for v in values]
+                    made.append(Row(places, tuple(kept)))
+                else:
+                    made.append(dict(zip(columns, values, strict=True)))
+            return made
         except sqlite3.OperationalError as error:
             raise _query_error(error) from error
 

@@ -9,6 +9,8 @@ told of them.
 import contextlib
 import os
 import sqlite3
+import stat
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +23,7 @@ from trms_cli.runs.entry import LOG_NAME, STATUS_NAME, read_entry, read_status
 from trms_cli.runs.filter import translate_filter
 from trms_cli.runs.index import FileStamp, LogReading, RunIndex, is_damage, remove, scope_sql
 from trms_cli.runs.place import index_file, new_runs
+from trms_cli.runs.run_folder import SCORE_NAME
 
 _BATCH = 200  # logs between two writes
 #: Entries of the working folder that are looked at when no folder is named: about a second.
@@ -45,13 +48,14 @@ class Query:
     columns: tuple[str, ...] = ()
     limit: int | None = None  #: Runs at most
     rebuild: bool = False  #: Read every log again
+    compact: bool = False  #: Rows that take little room, :class:`~trms_cli.runs.index.Row`
 
 
 @dataclass(frozen=True)
 class QueryResult:
     """The answer."""
 
-    runs: list[dict[str, Any]]  #: A run each: values by column, None for what it does not have
+    runs: list[Any]  #: A run each, a mapping: values by column, None for what it does not have
     columns: dict[str, IndexColumn]  #: As asked for, by the names that they were asked for by
     matching: int  #: Runs for which the filter holds, also those beyond the limit
     of: int  #: Runs in the folders
@@ -65,6 +69,11 @@ class _Walk:
     """What a walk through folders has found."""
 
     logs: dict[str, FileStamp] = field(default_factory=dict)
+    #: Folders of scores alone, without a log or a status
+    scores: list[str] = field(default_factory=list)
+    known: dict[str, int] = field(default_factory=dict)  # folders as the index has them, ns
+    members: dict[str, list[str]] = field(default_factory=dict)  # and the logs in them
+    looked: dict[str, int] = field(default_factory=dict)  # folders that may be passed next time
     odd: list[tuple[str, str]] = field(default_factory=list)
     remaining: int | None = None  # entries that may still be looked at
     remarks: list[str] = field(default_factory=list)
@@ -96,13 +105,8 @@ def _find(question: Query, tell: Tell) -> QueryResult:
     bounded = roots == []
     if bounded:
         roots = [_folder(os.curdir)]
-    walk = _Walk(remaining=MOST_ENTRIES if bounded else None)
-    with _open_index(walk.remarks) as index:
-        for paths in new_runs():
-            index.expect(paths)
-        if question.rebuild:
-            index.doubt(roots)
-        refresh(index, roots, walk, tell)
+    remaining = MOST_ENTRIES if bounded else None
+    with looked_through(roots, tell, remaining, rebuild=question.rebuild) as (index, walk):
         scope = scope_sql(roots)
         more = index.more_names()
         condition = translate_filter(question.filter, more)
@@ -114,7 +118,12 @@ def _find(question: Query, tell: Tell) -> QueryResult:
         units = index.units(within)
         _, order = _column(question.sort, more, "--sort")
         runs = index.select(
-            columns, within, order, descending=question.descending, limit=question.limit
+            columns,
+            within,
+            order,
+            descending=question.descending,
+            limit=question.limit,
+            compact=question.compact,
         )
         return QueryResult(
             runs=runs,
@@ -130,6 +139,25 @@ def _find(question: Query, tell: Tell) -> QueryResult:
         )
 
 
+@contextlib.contextmanager
+def looked_through(
+    roots: Sequence[str] | None,
+    tell: Tell | None = None,
+    remaining: int | None = None,
+    *,
+    rebuild: bool = False,
+) -> Iterator[tuple[RunIndex, _Walk]]:
+    """The index of this host, up to date with folders (real paths; None: all that it knows of)."""
+    walk = _Walk(remaining=remaining)
+    with _open_index(walk.remarks) as index:
+        for paths in new_runs():
+            index.expect(paths)
+        if rebuild:
+            index.doubt(roots)
+        refresh(index, roots, walk, tell)
+        yield index, walk
+
+
 def refresh(
     index: RunIndex,
     roots: Sequence[str] | None,
@@ -139,8 +167,14 @@ def refresh(
     """Make the index say of folders what lies in them; None: of all logs that it knows."""
     walk = walk or _Walk()
     earlier_stamps = index.stamps(roots)
+    walk.known = index.folders(roots)
+    for log in earlier_stamps:
+        folder = log.rpartition(os.sep)[0]
+        if folder in walk.known:
+            walk.members.setdefault(folder, []).append(log)
     for root in roots or ():
         _look_through(root, walk)
+    index.note_folders(walk.looked)
     stamps, absent_logs = walk.logs, []
     for log in earlier_stamps.keys() - stamps.keys():  # in folders that were passed over, or gone
         stamp = _stamp_of(log)
@@ -180,21 +214,75 @@ def _look_through(root: str, walk: _Walk) -> None:
     waiting = [root]
     while waiting:
         folder = waiting.pop()
-        try:
-            with os.scandir(folder) as entries:
-                for entry in entries:
-                    if walk.remaining is not None:
-                        walk.remaining -= 1
-                        if walk.remaining < 0:
-                            walk.remarks.append(
-                                f"only {MOST_ENTRIES} files of {root} were looked at: "
-                                "name the folder of the runs with --in"
-                            )
-                            return
-                    with contextlib.suppress(OSError):
-                        _take(entry, waiting, walk)
-        except OSError:
-            continue  # a folder of somebody else
+        with contextlib.suppress(OSError):  # a folder of somebody else
+            if not _is_as_known(folder, walk) and not _look_into(folder, waiting, walk, root):
+                return
+
+
+#: ns: a folder that has changed so shortly before it was looked through is looked through again,
+#: since a file that came in the same tick of the disk's clock would not show.
+_SETTLED = 60 * 10**9
+
+
+def _is_as_known(folder: str, walk: _Walk) -> bool:
+    """Take the logs of a folder of runs in which no file has come or gone since."""
+    known = walk.known.get(folder)
+    if known is None or folder not in walk.members or os.stat(folder).st_mtime_ns != known:
+        return False
+    for log in walk.members[folder]:
+        stamp = _stamp_of(log)
+        if stamp is not None:
+            walk.logs[log] = stamp
+    return True
+
+
+def _look_into(folder: str, waiting: list[str], walk: _Walk, root: str) -> bool:
+    """Take the logs of a folder; False where no more may be looked at."""
+    changed, now = os.stat(folder).st_mtime_ns, time.time_ns()
+    logs: list[str] = []
+    names: set[str] = set()
+    is_leaf = True
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if walk.remaining is not None:
+                walk.remaining -= 1
+                if walk.remaining < 0:
+                    walk.remarks.append(
+                        f"only {MOST_ENTRIES} files of {root} were looked at: "
+                        "name the folder of the runs with --in"
+                    )
+                    return False
+            with contextlib.suppress(OSError):
+                if entry.is_dir(follow_symlinks=False):
+                    is_leaf = False
+                    if not entry.name.startswith(".") and entry.name not in _PASSED_OVER:
+                        waiting.append(entry.path)
+                elif entry.name.endswith(_SUFFIX) and not entry.name.startswith("."):
+                    if _is_text(entry, walk):
+                        logs.append(entry.path)
+                else:
+                    names.add(entry.name)
+    if STATUS_NAME in names and os.path.join(folder, LOG_NAME) not in logs:
+        logs.append(os.path.join(folder, STATUS_NAME))
+    for log in logs:
+        stamp = _stamp_of(log)
+        if stamp is not None:
+            walk.logs[log] = stamp
+    if not logs and SCORE_NAME in names:
+        walk.scores.append(folder)
+    if is_leaf and logs and now - changed > _SETTLED:
+        walk.looked[folder] = changed
+    return True
+
+
+def _is_text(entry: os.DirEntry[str], walk: _Walk) -> bool:
+    try:
+        entry.path.encode()
+    except UnicodeEncodeError:
+        name = os.fsencode(entry.path).decode(errors="backslashreplace")
+        walk.odd.append((name, "its name is no text"))
+        return False
+    return True
 
 
 def logs_in(folder: Path) -> dict[str, FileStamp]:
@@ -204,38 +292,25 @@ def logs_in(folder: Path) -> dict[str, FileStamp]:
     return {log: stamp for log, stamp in walk.logs.items() if log.endswith(_SUFFIX)}
 
 
-def _take(entry: os.DirEntry[str], waiting: list[str], walk: _Walk) -> None:
-    if entry.is_dir(follow_symlinks=False):
-        if not entry.name.startswith(".") and entry.name not in _PASSED_OVER:
-            waiting.append(entry.path)
-    elif entry.name == STATUS_NAME:
-        stamp = _stamp_of(entry.path)
-        if stamp is not None:
-            walk.logs[entry.path] = stamp
-    elif entry.name.endswith(_SUFFIX) and not entry.name.startswith(".") and entry.is_file():
-        try:
-            entry.path.encode()
-        except UnicodeEncodeError:
-            name = os.fsencode(entry.path).decode(errors="backslashreplace")
-            walk.odd.append((name, "its name is no text"))
-            return
-        status = entry.stat()
-        walk.logs[entry.path] = FileStamp(status.st_mtime_ns, status.st_size)
-
-
 def _stamp_of(log: str) -> FileStamp | None:
     """A file's time and size; None if there is no such file, or its word does not count.
 
-    The status of a job counts only where the job has left no log.
+    The status of a job counts only where the job has left no log; beside a log it counts with it.
     """
-    folder, name = os.path.split(log)
-    if name == STATUS_NAME and os.path.exists(os.path.join(folder, LOG_NAME)):
-        return None
+    folder, _, name = log.rpartition(os.sep)
     try:
-        status = os.stat(log)
+        if name == STATUS_NAME and os.path.exists(f"{folder}{os.sep}{LOG_NAME}"):
+            return None
+        about = os.stat(log)
     except (OSError, ValueError):
         return None
-    return FileStamp(status.st_mtime_ns, status.st_size) if os.path.isfile(log) else None
+    if not stat.S_ISREG(about.st_mode):
+        return None
+    if name == LOG_NAME:
+        with contextlib.suppress(OSError):
+            job = os.stat(f"{folder}{os.sep}{STATUS_NAME}")
+            return FileStamp(max(about.st_mtime_ns, job.st_mtime_ns), about.st_size + job.st_size)
+    return FileStamp(about.st_mtime_ns, about.st_size)
 
 
 def _folder(folder: str | os.PathLike[str]) -> str:

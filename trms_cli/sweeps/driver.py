@@ -128,10 +128,11 @@ class Driver:
         for point in earlier_points:
             folder = RunFolder(self._record.folder, point.number)
             result = folder.result()
-            attempt = folder.last_attempt()
             if result is not None and result.state not in self._again:
                 self._take(result)
-            elif result is None and attempt and is_alive(folder.holder() or _NOBODY) is not False:
+                continue
+            attempt = folder.last_attempt()
+            if result is None and attempt and is_alive(folder.holder() or _NOBODY) is not False:
                 self._watched[point.number] = _Watched(Attempt(point, attempt))
             else:
                 self._waiting.append(Attempt(point, attempt + 1))

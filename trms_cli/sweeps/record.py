@@ -25,10 +25,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.runs.entry import STATUS_NAME, STATUS_SCHEMA, status_document
-from trms_cli.sweeps.space import Choice, PriorOfKey, Range, RunResult, Space, SweepPoint
+from trms_cli.sweeps.space import (
+    Choice,
+    PackedFigures,
+    PriorOfKey,
+    Range,
+    RunResult,
+    Space,
+    SweepPoint,
+)
 
 #: States after which nothing more comes of a run by itself.
 ENDED = ("done", "failed", "interrupted", "lost")
@@ -175,14 +185,23 @@ def result_of(status: Mapping[str, Any], number: int) -> RunResult | None:
     state = status.get("state")
     if state not in ENDED:
         return None
-    figures = status.get("figures")
     return RunResult(
         number,
         state,
-        figures=figures if isinstance(figures, Mapping) else {},
+        figures=_figures_of(status),
         objective=objective_of(status),
         problem=problem_of(status),
     )
+
+
+def _figures_of(status: Mapping[str, Any]) -> Mapping[str, float]:
+    figures = status.get("figures")
+    if not isinstance(figures, Mapping):
+        return {}
+    try:
+        return PackedFigures(figures)
+    except TypeError:  # somebody has written something else into it
+        return figures
 
 
 def objective_of(status: Mapping[str, Any]) -> float | None:
@@ -400,18 +419,19 @@ class Record:
             with file.open("r+b") as stream:
                 stream.truncate(len(whole))
         proposals = []
+        shared: dict[str, str] = {}  # points of a sweep have most words in common
         for number, line in enumerate(whole.splitlines()):
             try:
-                entry = json.loads(line)
+                entry = msgspec.json.decode(line)
                 point = SweepPoint(
                     int(entry["number"]),
-                    tuple(map(str, entry["overrides"])),
+                    tuple([shared.setdefault(word, word) for word in entry["overrides"]]),
                     dict(entry["values"]),
                     entry["trial"],
                 )
                 if point.number != number:
                     raise ValueError(f"point {point.number}")
-            except (ValueError, KeyError, TypeError) as error:
+            except (ValueError, KeyError, TypeError, msgspec.DecodeError) as error:
                 raise RecordingError(
                     f"no point number {number} ({error})",
                     where=f"{file}, line {number + 1}",

@@ -1,8 +1,9 @@
 """What a sweep varies (choices, ranges, priors of parameters), its points and what came of them."""
 
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,30 @@ class SweepPoint:
     #: The proposal of an optimiser that it belongs to: several points where a proposal is tried
     #: under several conditions. None: the sampler searches for nothing.
     trial: int | None = None
+
+
+class PackedFigures(Mapping[str, float]):
+    """Figures of one of many results: the names are kept once, the values as plain numbers."""
+
+    __slots__ = ("_names", "_values")
+    _known: ClassVar[dict[tuple[str, ...], dict[str, int]]] = {}
+
+    def __init__(self, figures: Mapping[str, float]) -> None:
+        names = tuple(figures)
+        self._names = self._known.setdefault(names, {name: i for i, name in enumerate(names)})
+        self._values = array("d", figures.values())
+
+    def __getitem__(self, name: str) -> float:
+        return self._values[self._names[name]]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __repr__(self) -> str:
+        return repr(dict(self))
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,7 @@ def runs_of_rows(result: QueryResult, draw_keys: Sequence[str] = ()) -> list[Com
     All that was drawn for a run, by `draw_keys`, is one coordinate, its draw: a condition, and no
     entrant's.
     """
-    from trms_cli.scoring.comparison.runs import ComparisonRun
+    from trms_cli.scoring.comparison.runs import FIGURE_COLUMNS, ComparisonRun
 
     typed = sweeps.typed_values(result.runs)
     keys = [key for key in sweeps.keys_of(result.runs, typed) if key not in draw_keys]
@@ -141,7 +141,7 @@ def runs_of_rows(result: QueryResult, draw_keys: Sequence[str] = ()) -> list[Com
             path=str(row["path"]),
             coordinates=coordinates(row, values),
             state=_state(row),
-            score=_score(row),
+            figures=tuple(map(row.get, FIGURE_COLUMNS)),
             message=str(row.get("problem") or ""),
         )
         for row, values in zip(result.runs, typed, strict=True)
@@ -161,29 +161,6 @@ def _state(row: Mapping[str, Any]) -> Any:
     if row.get("outcome") == "failed":
         return State.FAILED
     return State.DONE if row.get("complete") else State.INCOMPLETE
-
-
-def _score(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The figures of a row in the shape of a score, as far as a ranking asks for them."""
-    from trms_cli.scoring.figures import of_group
-
-    def of(group: Any, name: str) -> dict[str, Any]:
-        return {f.key: row.get(f"{f.column_name}_{name}") for f in of_group(group)}
-
-    def names(stem: str) -> list[str]:
-        there = (name for name, value in row.items() if value is not None)
-        return [name.removeprefix(stem) for name in there if name.startswith(stem)]
-
-    return {
-        "duration_s": row.get("duration"),
-        "channels": {name: of("channels", name) for name in names("rmse_")},
-        "inputs": {name: of("inputs", name) for name in names("effort_")},
-        "solver": {
-            "time_ms": {key: row.get(f"solve_{key}") for key in ("median", "p99", "max")},
-            "failures": row.get("failures"),
-            "deadline_misses": row.get("deadline_misses"),
-        },
-    }
 
 
 #: More runs than this are told as a sweep: curves over one another could not be told apart.

@@ -6,7 +6,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -65,13 +65,36 @@ def _page_figures(extra: Iterable[str] = ()) -> list[str]:
     return [*names, "duration"]
 
 
-def rows_of(folders: Sequence[Path], *, quiet: bool = False) -> QueryResult:
-    """The runs in folders, as ``trms runs`` has them; logs that are new are read."""
-    from trms_cli.reporting.progress import ReadingProgress
-    from trms_cli.runs.query import Query, find
+#: What a page and its ranking read of a run beside its figures.
+_ABOUT = (
+    *("path", "log", "time", "command", "outcome", "complete", "problem", *_OPTIONS, "seed"),
+    *("version", "overrides", "choices"),
+)
 
+
+def rows_of(folders: Sequence[Path], *, quiet: bool = False) -> QueryResult:
+    """The runs in folders, as ``trms runs`` has them; logs that are new are read.
+
+    Of each what a page tells of it, and no more: there may be a hundred thousand.
+    """
+    from trms_cli.reporting.progress import ReadingProgress
+    from trms_cli.runs.columns import ALIASES, COLUMNS
+    from trms_cli.runs.query import Query, find
+    from trms_cli.scoring.comparison.runs import FIGURE_COLUMNS
+    from trms_cli.scoring.figures import of_group
+
+    plan = sweep_document(folders[0]) if len(folders) == 1 else {}
+    sought = [o.figure for o in summary.objectives_of(summary.search_of(plan))]
+    of_others = [f"{f.column_name}_*" for f in of_group("channels") if f.short]
+    figures = [ALIASES.get(name, name) for name in (*sought, *_page_figures(), *FIGURE_COLUMNS)]
+    # Of a figure that no run may have all that begin with its name are asked for.
+    figures = [name if name in COLUMNS else f"{name}*" for name in figures]
+    columns = tuple(dict.fromkeys([*_ABOUT, *figures, *of_others]))
+    question = Query(
+        folders=tuple(folders), sort="path", descending=False, columns=columns, compact=True
+    )
     with ReadingProgress(quiet=quiet) as progress:
-        result = find(Query(folders=tuple(folders), sort="path", descending=False), progress)
+        result = find(question, progress)
     return replace(result, runs=_completed(result.runs))
 
 
@@ -81,6 +104,7 @@ def read_sweep(folders: Sequence[Path], result: QueryResult, page_folder: Path) 
     `page_folder`: where the page will be, for links to reports of single runs.
     """
     from trms_cli.reporting.sweep_report import SweepReport
+    from trms_cli.runs.columns import ALIASES
 
     rows = result.runs
     plan = sweep_document(folders[0]) if len(folders) == 1 else {}
@@ -94,8 +118,9 @@ def read_sweep(folders: Sequence[Path], result: QueryResult, page_folder: Path) 
     named = summary.short_names(draw_keys, others)
     root = _root(rows, folders)
     figures, total = _figures(result, objectives), plan.get("total")
+    columns = {name: ALIASES.get(name, name) for name in figures}
     runs = [
-        _swept(row, values, keys, by, figures, named, root, page_folder)
+        _swept(row, values, keys, by, columns, named, root, page_folder)
         for row, values in zip(rows, typed, strict=True)
     ]
     runs.sort(key=lambda run: (run.number is None, run.number or 0))
@@ -228,27 +253,50 @@ def _swept(
     page_folder: Path,
 ) -> SweepRun:
     from trms_cli.reporting.sweep_report import SweepRun
-    from trms_cli.runs.columns import ALIASES
     from trms_cli.scoring.comparison.ranking import controller_name
 
     path = Path(str(row["path"]))
     own = (path if path.is_dir() else path.parent) / PAGE_NAME
     own_page = own.parent != page_folder and own.is_file()
-    numbers = {}
-    for name in figures:
-        value = row.get(ALIASES.get(name, name))
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
-            numbers[name] = float(value)
     return SweepRun(
         name=_relative(str(path), root),
         entrant=controller_name({key: str(value_of(row, typed, key) or "–") for key in by}, by),
         outcome=str(row.get("outcome") or "unfinished"),
         values={named.get(key, key): value_of(row, typed, key) for key in keys},
-        figures=numbers,
+        figures=RowFigures(row, figures),
         problem=str(row.get("problem") or "")[:_LONGEST_PROBLEM],
         page=relative_link(str(own), str(page_folder)) if own_page else "",
         number=int(path.name) if path.name.isascii() and path.name.isdigit() else None,
     )
+
+
+class RowFigures(Mapping[str, float]):
+    """The figures that a row has, by the names of a page: nothing is copied out of it."""
+
+    __slots__ = ("_columns", "_row")
+
+    def __init__(self, row: Mapping[str, Any], columns: Mapping[str, str]) -> None:
+        self._row, self._columns = row, columns
+
+    def __getitem__(self, name: str) -> float:
+        value = self._row.get(self._columns[name])
+        if value is None:
+            raise KeyError(name)
+        return float(value)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The figure, or what else is said."""
+        value = self._row.get(self._columns.get(name, ""))
+        return default if value is None else float(value)
+
+    def __contains__(self, name: object) -> bool:
+        return self._row.get(self._columns.get(str(name), "")) is not None
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name, column in self._columns.items() if self._row.get(column) is not None)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
 
 
 def relative_link(target: str, folder: str) -> str:
@@ -287,11 +335,11 @@ def typed_values(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
     Where one name stands for several model files, their paths too, as a comparison has them.
     """
-    from trms_cli.scoring.comparison.runs import differing_settings
+    from trms_cli.scoring.comparison.runs import Settings, differing_settings
 
     typed = [_typed_of(row) for row in rows]
     files = [_model_file(row, values) for row, values in zip(rows, typed, strict=True)]
-    settings = differing_settings(rows, files, [False] * len(files))
+    settings = differing_settings(rows, [Settings(own) for own in files])
     return [{**values, **own} for values, own in zip(typed, settings, strict=True)]
 
 

@@ -22,10 +22,13 @@ def runs_from(paths: Sequence[Path], where: Mapping[str, Sequence[str]]) -> RunC
 
     Raises RecordingError if there is nothing to compare.
     """
+    from trms_cli.reporting.progress import ReadingProgress
+    from trms_cli.runs.many import gather_runs
     from trms_cli.scoring.comparison.ranking import matching_runs
-    from trms_cli.scoring.comparison.runs import RunCollection, gather
+    from trms_cli.scoring.comparison.runs import RunCollection
 
-    gathered = gather(paths)
+    with ReadingProgress() as tell:
+        gathered = gather_runs(paths, tell)
     if where:
         gathered = RunCollection(tuple(matching_runs(gathered.runs, where)), gathered.left_out)
     if len(gathered.runs) == 1 and gathered.runs[0].state.ranked:

@@ -12,20 +12,24 @@ the same ones, which keeps the pairing. Efron & Tibshirani, An Introduction to t
 chapter 13.
 """
 
-import json
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from functools import cached_property
 
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.scoring.comparison.runs import ComparisonRun, State, differing_coordinates
+from trms_cli.scoring.comparison.runs import ComparisonRun, Settings, State, differing_coordinates
 
 #: Coordinates of who ran; the others are of what was run in.
 OF_ENTRANTS = ("controller", "observer", "model", "supervisor", "qp_solver")
+#: The key of a rig's own model.
+_EQUATIONS = "plant.model"
 #: Keys of true values of a rig; as many as this are named together.
 RIG_PARAMETERS, FEWEST_GATHERED = "plant.parameters.", 6
 
@@ -55,18 +59,22 @@ class ComparisonGroup:
             table[place] = math.inf if any(failed) else np.mean([r.error(metric) for r in runs])
         return table
 
-    @property
+    @cached_property
     def rigs_differ(self) -> bool:
         """Whether runs of one condition had rigs of other equations, each its own model's."""
-        rigs: dict[int, set[str]] = {}
+        rigs: dict[int, set[tuple[tuple[str, str], ...]]] = {}
+        shared: dict[int, tuple[tuple[str, str], ...]] = {}
         for (_, condition), runs in self.cells.items():
             for run in runs:
-                plant = run.config.get("plant")
-                model = plant.get("model") if isinstance(plant, Mapping) else None
-                if model is not None:
-                    # in one order, whatever they were composed in
-                    text = json.dumps(model, sort_keys=True, default=str)
-                    rigs.setdefault(condition, set()).add(text)
+                own = run.flat_settings()
+                is_own = any(key.startswith(_EQUATIONS) for key in own.changes)
+                if is_own or run.settings is None:
+                    equations = own.below(_EQUATIONS)
+                else:  # of all runs with this base, which lives as long as they do
+                    equations = shared.get(id(own.base)) or Settings(own.base).below(_EQUATIONS)
+                    shared[id(own.base)] = equations
+                if equations and equations != ((_EQUATIONS, "none"),) and not own.is_partial:
+                    rigs.setdefault(condition, set()).add(equations)
         return any(len(models) > 1 for models in rigs.values())
 
     def condition_name(self, condition: int) -> str:
@@ -240,6 +248,8 @@ class Standing:
     against_first: float = math.nan
     against_interval: RatioInterval | None = None
     shared: int = 0  #: How many conditions it shares with the first
+    #: By metric, once they were asked for
+    figures: dict[str, Figures] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def different(self) -> bool | None:
@@ -295,11 +305,16 @@ def rank(runs: ComparisonGroup, metric: str = "rmse", *, resamples: int = RESAMP
     order = sorted(range(len(means)), key=lambda i: (not whole[i], bool(runs.outside[i]), means[i]))
     first = order[0] if order and whole[order[0]] else None
     clusters = runs.clusters()
-    draws = _draws(clusters, resamples)
+    against = [_against(ratios, i, first) for i in order]
+    intervals = _intervals(
+        [*(np.log(ratios[i]) for i in order), *(versus for versus, _ in against)],
+        clusters,
+        resamples,
+    )
     standings = []
     for place, i in enumerate(order):
         there = np.flatnonzero(ran[i])
-        versus, shared = _against(ratios, i, first)
+        versus, shared = against[place]
         standings.append(
             Standing(
                 name=runs.entrants[i],
@@ -309,9 +324,9 @@ def rank(runs: ComparisonGroup, metric: str = "rmse", *, resamples: int = RESAMP
                 conditions=there,
                 ratios=ratios[i, there],
                 ratio=float(means[i]),
-                interval=_interval(np.log(ratios[i]), clusters, draws),
+                interval=intervals[place],
                 against_first=_geometric(np.exp(versus[shared])),
-                against_interval=None if i == first else _interval(versus, clusters, draws),
+                against_interval=None if i == first else intervals[len(order) + place],
                 shared=int(shared.sum()),
             )
         )
@@ -350,26 +365,48 @@ def _against(ratios: FloatArray, i: int, first: int | None) -> tuple[FloatArray,
     return versus, ~np.isnan(versus)
 
 
-def _draws(clusters: IntArray, resamples: int) -> FloatArray:
-    """How often each cluster is drawn, (resamples, clusters); the same for all entrants."""
+#: Counts of drawn clusters that are kept at once: 32 MB.
+_MOST_DRAWS = 4_000_000
+
+
+def _intervals(
+    rows: Sequence[FloatArray], clusters: IntArray, resamples: int
+) -> list[RatioInterval | None]:
+    """Of the geometric mean of exp(row), clusters drawn again, the same for all rows.
+
+    NaN is left out. None for a row with fewer clusters than :data:`FEWEST_CLUSTERS`.
+    """
     count = int(clusters.max()) + 1 if clusters.size else 0
-    if count == 0:
-        return np.zeros((resamples, 0))
+    sums, sizes = np.zeros((2, len(rows), count))
+    for place, logs in enumerate(rows):
+        present = ~np.isnan(logs)
+        sums[place] = np.bincount(clusters[present], logs[present], minlength=count)
+        sizes[place] = np.bincount(clusters[present], minlength=count)
+    places = np.flatnonzero(np.count_nonzero(sizes, axis=1) >= FEWEST_CLUSTERS)
+    totals, weights = np.zeros((2, places.size, resamples))
+    block = max(1, min(resamples, _MOST_DRAWS // max(1, count)))
     generator = np.random.default_rng(SEED)
-    return generator.multinomial(count, np.full(count, 1.0 / count), size=resamples).astype(float)
+    for begin in range(0, resamples if places.size else 0, block):
+        some = slice(begin, min(resamples, begin + block))
+        size = some.stop - some.start
+        # (some of the resamples, clusters): how often each cluster is drawn
+        if block < resamples:  # of very many clusters: the same distribution in a tenth of the time
+            drawn = generator.integers(count, size=(size, count))
+            draws = np.array([np.bincount(row, minlength=count) for row in drawn], dtype=float)
+        else:
+            draws = generator.multinomial(count, np.full(count, 1.0 / count), size=size).astype(
+                float
+            )
+        for i, row in enumerate(places):
+            totals[i, some] = draws @ sums[row]
+            weights[i, some] = draws @ sizes[row]
+    told = {int(row): _interval(totals[i], weights[i]) for i, row in enumerate(places)}
+    return [told.get(place) for place in range(len(rows))]
 
 
-def _interval(logs: FloatArray, clusters: IntArray, draws: FloatArray) -> RatioInterval | None:
-    """Of the geometric mean of exp(logs), clusters drawn again; NaN is left out."""
-    present = ~np.isnan(logs)
-    count = draws.shape[1]
-    sums = np.bincount(clusters[present], logs[present], minlength=count)
-    sizes = np.bincount(clusters[present], minlength=count).astype(float)
-    if np.count_nonzero(sizes) < FEWEST_CLUSTERS:
-        return None
-    weights = draws @ sizes
+def _interval(totals: FloatArray, weights: FloatArray) -> RatioInterval:
     usable = weights > 0
-    means = (draws @ sums)[usable] / weights[usable]
+    means = totals[usable] / weights[usable]
     tail = (1.0 - LEVEL) / 2.0
     low, high = np.exp(np.quantile(means, [tail, 1.0 - tail]))
     return RatioInterval(low=float(low), high=float(high))
@@ -411,6 +448,12 @@ class Figures:
 
 def figures_of(standing: Standing, metric: str = "rmse") -> Figures:
     """Sum up the runs of an entrant."""
+    if metric not in standing.figures:
+        standing.figures[metric] = _summed(standing, metric)
+    return standing.figures[metric]
+
+
+def _summed(standing: Standing, metric: str) -> Figures:
     runs = standing.runs
     ended = [run for run in runs if run.state is not State.FAILED]
     errors = [run.error(metric) for run in ended]

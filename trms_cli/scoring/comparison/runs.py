@@ -9,23 +9,28 @@ A run's coordinates are the options that were chosen (``controller``, ``ref``, â
 with the same options have other values, the keys of the configuration in which they differ.
 """
 
+from __future__ import annotations
+
 import json
 import math
 import os
 import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from trms_cli.core.data_file import absent, not_as_written, read_json
+from trms_cli.core.data_file import absent, json_or_none, not_as_written, read_json
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
 from trms_cli.core.wording import named_files, typed_models
-from trms_cli.scoring.figures import entries
+from trms_cli.scoring.figures import Group, entries, of_group, part
 from trms_cli.scoring.score import SCHEMA as SCORE_SCHEMA
+
+if TYPE_CHECKING:
+    from trms_cli.recordings.log_head import LogHead
 
 
 class State(Enum):
@@ -39,6 +44,45 @@ class State(Enum):
     def ranked(self) -> bool:
         """Whether it counts: one that somebody ended says nothing about who ran in it."""
         return self is not State.INCOMPLETE
+
+
+_FIGURES = [
+    figure
+    for figure in of_group("channels", "inputs", "solver", "run")
+    if figure.total == "sum" or figure.group in ("solver", "run")
+]
+#: What a comparison asks of a score, and its place among :attr:`ComparisonRun.figures`.
+FIGURES = {(figure.group, figure.key): place for place, figure in enumerate(_FIGURES)}
+#: The same by the names that ``trms runs`` has for them.
+FIGURE_COLUMNS = tuple(figure.column_name for figure in _FIGURES)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """A configuration by dotted keys, as what it has in place of that of another run.
+
+    Thousands of runs of a sweep share one ``base`` and differ in a few keys.
+    """
+
+    base: Mapping[str, str]
+    changes: Mapping[str, str | None] = field(default_factory=dict)  #: None: the key is not there
+    is_partial: bool = False  #: Whether there may be keys that are not known
+
+    def get(self, key: str) -> str | None:
+        """The value of a key; None where there is none."""
+        return self.changes[key] if key in self.changes else self.base.get(key)
+
+    def below(self, stem: str) -> tuple[tuple[str, str], ...]:
+        """Keys that are `stem` or stand below it, sorted, with their values."""
+        own = {**self.base, **self.changes}
+        below = f"{stem}."
+        return tuple(
+            sorted(
+                (key, value)
+                for key, value in own.items()
+                if value is not None and (key == stem or key.startswith(below))
+            )
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +103,35 @@ class ComparisonRun:
     """The resolved configuration, where the log has it."""
     typed: Mapping[str, str] = field(default_factory=dict, repr=False)
     """Of a job that left no log: dotted keys as typed, all that is known of its configuration."""
+    #: Of a run that the index tells of, in place of its score: values of :data:`FIGURES`
+    figures: Sequence[float | None] | None = field(default=None, repr=False)
+    #: likewise, in place of its configuration
+    settings: Settings | None = field(default=None, repr=False)
+
+    def flat_settings(self) -> Settings:
+        """All that is known of its configuration, by dotted keys."""
+        if self.settings is not None:
+            return self.settings
+        if self.config:
+            return Settings(flat(self.config))
+        return Settings(_as_flat(self.typed), is_partial=True)
+
+    def with_coordinates(self, coordinates: Mapping[str, str]) -> ComparisonRun:
+        """The same run, told apart by others; a hundred thousand are made so."""
+        made = object.__new__(ComparisonRun)
+        made.__dict__.update(self.__dict__, coordinates=coordinates)
+        return made
+
+    def _figure(self, group: Group, key: str) -> float:
+        assert self.figures is not None
+        place = FIGURES.get((group, key))
+        value = None if place is None else self.figures[place]
+        return math.nan if value is None else value
 
     def error(self, metric: str = "rmse") -> float:
         """Tracking error: a metric summed over the channels; NaN where there is none."""
+        if self.figures is not None:
+            return self._figure("channels", metric)
         channels = (self.score or {}).get("channels", {}).values()
         values = [channel.get(metric) for channel in channels]
         if not values or any(value is None for value in values):
@@ -74,20 +144,28 @@ class ComparisonRun:
 
     def input_sum(self, figure: str) -> float:
         """A figure of the inputs (``effort``, ``total_variation``), summed; NaN without one."""
+        if self.figures is not None:
+            return self._figure("inputs", figure)
         inputs = (self.score or {}).get("inputs", {}).values()
         values = [_number(each.get(figure)) for each in inputs]
         return sum(values) if values else math.nan
 
     def solver(self, figure: str) -> float:
         """A figure of the solver: ``failures``, ``deadline_misses``, â€¦; NaN where there is none."""
+        if self.figures is not None:
+            return self._figure("solver", figure)
         return _number((self.score or {}).get("solver", {}).get(figure))
 
     def step_time(self, figure: str) -> float:
         """``median``, ``p99`` or ``max`` of the time of a control step, ms."""
+        if self.figures is not None:
+            return self._figure("solver", f"time_ms.{figure}")
         return _number((self.score or {}).get("solver", {}).get("time_ms", {}).get(figure))
 
     def of_run(self, key: str) -> float:
         """A figure of the run as a whole: ``degraded`` (s), ``violations``; NaN without one."""
+        if self.figures is not None:
+            return self._figure("run", key)
         entry = next((e for e in entries(self.score or {}, "run") if e.key == key), None)
         return _number(None if entry is None else entry.value)
 
@@ -97,7 +175,7 @@ def _number(value: Any) -> float:
 
 
 #: Where a run's files go, and what is drawn and logged: no part of what was run.
-_NO_COORDINATES = frozenset({"out", "picture", "sim.prediction_every", "sim.scene_every"})
+NO_COORDINATES = frozenset({"out", "picture", "sim.prediction_every", "sim.scene_every"})
 #: Resolved copies of what other groups say.
 _COPIES = ("plant.effects", "plant.model", "plant.faults")
 _GROUPS = ("model", "plant", "effect", "fault", "observer", "controller", "ref", "supervisor")
@@ -128,7 +206,7 @@ def of_overrides(overrides: Sequence[str]) -> dict[str, str]:
     coordinates = {}
     for word in overrides:
         key, equals, value = word.lstrip("+").partition("=")
-        if equals and key not in _NO_COORDINATES and not key.startswith("hydra"):
+        if equals and key not in NO_COORDINATES and not key.startswith("hydra"):
             coordinates[key] = value.strip("'\"").strip("[]").replace(",", "+")
     return coordinates
 
@@ -136,19 +214,23 @@ def of_overrides(overrides: Sequence[str]) -> dict[str, str]:
 def complete_coordinates(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
     """Give every run a value for each coordinate, and the keys in which configurations differ."""
     runs = _with_settings(with_rigs(runs))
-    usual: dict[str, Counter[str]] = {}
+    usual: defaultdict[str, Counter[str]] = defaultdict(Counter)
     for run in runs:
         for key, value in run.coordinates.items():
-            usual.setdefault(key, Counter())[value] += 1
+            usual[key][value] += 1
     implied = {key for key in usual if "@" in key and _is_implied(key, runs)}
+    # a setting of one option's is none of another's; an option left out is the usual
+    defaults = {
+        key: _NONE if "." in key else values.most_common(1)[0][0]
+        for key, values in usual.items()
+        if key not in implied
+    }
     whole = []
     for run in runs:
         filled = {key: value for key, value in run.coordinates.items() if key not in implied}
-        for key, values in usual.items():
-            if key not in filled and key not in implied:
-                # a setting of one option's is none of another's; an option left out is the usual
-                filled[key] = _NONE if "." in key else values.most_common(1)[0][0]
-        whole.append(replace(run, coordinates=filled))
+        if len(filled) < len(defaults):
+            filled |= {key: value for key, value in defaults.items() if key not in filled}
+        whole.append(run.with_coordinates(filled))
     return whole
 
 
@@ -161,7 +243,7 @@ def with_rigs(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
     if all(run.coordinates.get(_RIG, _NOTHING) == _NOTHING for run in runs):
         return list(runs)
     return [
-        replace(run, coordinates={**run.coordinates, _RIG: _equations(run.coordinates)})
+        run.with_coordinates({**run.coordinates, _RIG: _equations(run.coordinates)})
         if _RIG in run.coordinates
         else run
         for run in runs
@@ -195,7 +277,7 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[tuple[
     left, right = flat(one), flat(other)
     rows = []
     for key in dict.fromkeys([*left, *right]):
-        if key.startswith(_COPIES) or key in _NO_COORDINATES or left.get(key) == right.get(key):
+        if key.startswith(_COPIES) or key in NO_COORDINATES or left.get(key) == right.get(key):
             continue
         rows.append((key, left.get(key, _NONE), right.get(key, _NONE)))
     return rows
@@ -215,42 +297,67 @@ def flat(config: Mapping[str, Any], stem: str = "") -> dict[str, str]:
 
 def _with_settings(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
     """Add dotted keys in which runs of the same options differ."""
-    flats = [flat(run.config) if run.config else _as_flat(run.typed) for run in runs]
-    # of a job without a log only what was typed is known, and nothing can be said of the rest
-    partial = [not run.config for run in runs]
-    settings = differing_settings([run.coordinates for run in runs], flats, partial)
+    settings = differing_settings(
+        [run.coordinates for run in runs], [run.flat_settings() for run in runs]
+    )
     return [
-        replace(run, coordinates={**run.coordinates, **added})
+        run.with_coordinates({**run.coordinates, **added}) if added else run
         for run, added in zip(runs, settings, strict=True)
     ]
 
 
 def differing_settings(
-    choices: Sequence[Mapping[str, Any]],
-    flats: Sequence[Mapping[str, str]],
-    partial: Sequence[bool],
+    choices: Sequence[Mapping[str, Any]], configurations: Sequence[Settings]
 ) -> list[dict[str, str]]:
     """Of each run the dotted keys in which it differs from runs of the same options.
 
-    ``choices``: the option of each group. ``flats``: dotted keys with their values. ``partial``:
-    whether other keys of a run are not known, so that it is not said to have none.
+    ``choices``: the option of each group. A run of which only a part of the configuration is known,
+    a job without a log, is not said to have none of the other keys.
     """
     groups: dict[tuple[str, str], list[int]] = {}
-    for i, options in enumerate(choices):
-        for group in dict.fromkeys(key.partition(".")[0] for key in flats[i]):
+    heads: dict[int, dict[str, None]] = {}
+    for i, (options, own) in enumerate(zip(choices, configurations, strict=True)):
+        if id(own.base) not in heads:
+            heads[id(own.base)] = _heads(own.base)
+        names = heads[id(own.base)]
+        if own.changes:
+            names = names | _heads(own.changes)
+        for group in names:
             groups.setdefault((group, str(options.get(group, ""))), []).append(i)
     settings: list[dict[str, str]] = [{} for _ in choices]
     for (group, _), members in groups.items():
-        keys = dict.fromkeys(
-            key for i in members for key in flats[i] if key.startswith(f"{group}.")
-        )
-        for key in keys:
-            indices = [i for i in members if key in flats[i] or not partial[i]]
-            values = {flats[i].get(key, _NONE) for i in indices}
-            if len(values) > 1 and key not in _NO_COORDINATES and not key.startswith(_COPIES):
-                for i in indices:
-                    settings[i][key] = flats[i].get(key, _NONE)
+        for key in _keys_that_may_differ(f"{group}.", [configurations[i] for i in members]):
+            if key in NO_COORDINATES or key.startswith(_COPIES):
+                continue
+            values = [configurations[i].get(key) for i in members]
+            told = [
+                (i, _NONE if value is None else value)
+                for i, value in zip(members, values, strict=True)
+                if value is not None or not configurations[i].is_partial
+            ]
+            if len({value for _, value in told}) > 1:
+                for i, value in told:
+                    settings[i][key] = value
     return settings
+
+
+def _heads(keys: Iterable[str]) -> dict[str, None]:
+    """What stands before the first dot, in order; a key without one is no setting of a group."""
+    return dict.fromkeys(key.partition(".")[0] for key in keys if "." in key)
+
+
+def _keys_that_may_differ(stem: str, configurations: Sequence[Settings]) -> list[str]:
+    """Keys with that beginning, in the order of the configurations, but for what all share."""
+    bases = {id(own.base): own.base for own in configurations}
+    keys = dict.fromkeys(key for base in bases.values() for key in base if key.startswith(stem))
+    changed = dict.fromkeys(
+        key for own in configurations for key in own.changes if key.startswith(stem)
+    )
+    return [
+        key
+        for key in keys | changed
+        if key in changed or len({base.get(key) for base in bases.values()}) > 1
+    ]
 
 
 def _as_flat(typed: Mapping[str, str]) -> dict[str, str]:
@@ -284,6 +391,8 @@ def _first_signal(ref: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 LOG, SCORE, STATUS = "run.mcap", "score.json", "status.json"
+#: Of the runs whose words :func:`of_log_head` knows.
+RUN_SCHEMA = "trms.run/1"
 #: Key of a score with what it is a score of.
 RUN_KEY = "run"
 #: Keys of the log's ``trms.run`` record, with JSON.
@@ -300,22 +409,30 @@ class RunCollection:
     left_out: tuple[tuple[str, str], ...] = ()
 
 
-def gather(paths: Sequence[Path]) -> RunCollection:
+def gather(
+    paths: Sequence[Path],
+    of_folder: Callable[[Path], tuple[list[ComparisonRun], list[tuple[str, str]]]] | None = None,
+) -> RunCollection:
     """Read every run in files and folders, however deep.
 
-    Raises RecordingError if a path does not exist, a file is no log and no score, or there is no
-    run at all.
+    ``of_folder``: what reads a folder, and tells what is left out of it; by default each file of it
+    is opened. Raises RecordingError if a path does not exist, a file is no log and no score, or
+    there is no run at all.
     """
     runs: list[ComparisonRun] = []
     left_out: list[tuple[str, str]] = []
-    places: set[Path] = set()
+    places: set[str] = set()
     for path in paths:
         if not path.exists():
             raise absent(path, "file or folder")
         with not_as_written(str(path)):
-            path_runs = [_of_file(path)] if path.is_file() else _of_folder(path, left_out)
+            if path.is_file():
+                path_runs = [_of_file(path)]
+            else:
+                path_runs, passed_over = (of_folder or runs_in_folder)(path)
+                left_out += passed_over
         for run in path_runs:
-            place = Path(run.path).resolve()
+            place = os.path.realpath(run.path) if len(paths) > 1 else run.path
             if place not in places:
                 places.add(place)
                 runs.append(run)
@@ -330,13 +447,14 @@ def gather(paths: Sequence[Path]) -> RunCollection:
     return RunCollection(tuple(complete_coordinates(runs)), tuple(left_out))
 
 
-def _of_folder(root: Path, left_out: list[tuple[str, str]]) -> list[ComparisonRun]:
-    runs = []
+def runs_in_folder(root: Path) -> tuple[list[ComparisonRun], list[tuple[str, str]]]:
+    """The runs in a folder, however deep, and the files that are left out with the reason."""
+    runs, left_out = [], []
     for folder, folders, files in os.walk(root):
         folders.sort()
         try:
             with not_as_written(folder):
-                run = _of_run_folder(Path(folder), set(files))
+                run = of_run_folder(Path(folder), set(files))
         except RecordingError as error:
             left_out.append((error.where or folder, error.problem))
             continue
@@ -346,17 +464,21 @@ def _of_folder(root: Path, left_out: list[tuple[str, str]]) -> list[ComparisonRu
             if name.endswith(".mcap") and name != LOG:
                 try:
                     with not_as_written(str(Path(folder, name))):
-                        runs.append(_of_log(Path(folder, name)))
+                        runs.append(of_log(Path(folder, name)))
                 except RecordingError as error:
                     left_out.append((str(Path(folder, name)), error.problem))
-    return runs
+    return runs, left_out
 
 
-def _of_run_folder(folder: Path, files: set[str]) -> ComparisonRun | None:
+def of_run_folder(folder: Path, files: set[str]) -> ComparisonRun | None:
+    """The run that a folder with these files holds; None where it holds none.
+
+    Raises RecordingError if it cannot be read.
+    """
     status = _document(folder / STATUS) if STATUS in files else {}
     if LOG in files:
         try:
-            return _with_status(_of_log(folder / LOG), status)
+            return _with_status(of_log(folder / LOG), status)
         except RecordingError:
             if not status:
                 raise
@@ -376,7 +498,7 @@ def _of_run_folder(folder: Path, files: set[str]) -> ComparisonRun | None:
 
 def _of_file(path: Path) -> ComparisonRun:
     if path.suffix != ".json":
-        return _of_log(path)
+        return of_log(path)
     document = _document(path)
     if document.get("schema") != SCORE_SCHEMA:
         raise RecordingError(
@@ -384,11 +506,15 @@ def _of_file(path: Path) -> ComparisonRun:
         )
     beside = path.with_name(LOG)
     if RUN_KEY not in document and beside.is_file():
-        return _of_log(beside)
+        return of_log(beside)
     return _of_score(document, path)
 
 
-def _of_log(path: Path) -> ComparisonRun:
+def of_log(path: Path) -> ComparisonRun:
+    """The run of a log, its configuration among what is read.
+
+    Raises RecordingError if it cannot be read, or is no run of the loop.
+    """
     from trms_cli.recordings.log_reader import read_log
 
     log = read_log(path, ("/event",))
@@ -418,6 +544,39 @@ def _of_log(path: Path) -> ComparisonRun:
         non_finite=_faults(log),
         config=config,
     )
+
+
+def of_log_head(head: LogHead) -> ComparisonRun | None:
+    """A run by its log's words, without its score and configuration; None where they do not do.
+
+    They do for a run that ended, was scored and names its options. The samples' checksums are not
+    looked at. A status beside the log counts as in :func:`gather`.
+    """
+    run = head.run
+    options = json_or_none(run.get(CHOICES_KEY))
+    if not head.finished or run.get("schema") != RUN_SCHEMA or not isinstance(options, Mapping):
+        return None
+    outcome = run.get("outcome", "died")
+    state = _ENDINGS.get(outcome, State.DONE)
+    if not options or outcome == "died" or (state is State.DONE and not head.score):
+        return None
+    path = head.path
+    failures = part(head.score, "solver").get("failures")
+    non_finite = 0
+    if failures != 0:  # a command that is not finite is one of the fall-backs
+        from trms_cli.recordings.log_reader import read_log
+
+        non_finite = _faults(read_log(path, ("/event",)))
+    made = ComparisonRun(
+        path=str(path.parent if path.name == LOG else path),
+        coordinates=_as_text(named_files(options, head.config))
+        | {"seed": str(run.get("seed", ""))},
+        state=state,
+        message="" if state is State.DONE else outcome,
+        non_finite=non_finite,
+    )
+    beside = path.with_name(STATUS)
+    return _with_status(made, _document(beside) if beside.is_file() else {})
 
 
 def _of_score(score: Mapping[str, Any], path: Path) -> ComparisonRun:
