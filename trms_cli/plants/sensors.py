@@ -17,6 +17,8 @@ from trms_cli.recordings.recording import quantum
 #: A perfect channel still gets this declared noise (its unit), so that an observer's covariance
 #: stays invertible.
 _LEAST_NOISE = 1e-6
+#: The same of an estimate, as a share of what the channel spans.
+_LEAST_SHARE = 1e-9
 #: Standard deviation of a normal variable over its median absolute value.
 _MAD_TO_SD = 1.4826
 #: The third difference of white noise of variance 1 has the variance 1 + 9 + 9 + 1.
@@ -83,9 +85,12 @@ class Sensors:
         for signal, column in zip(outputs, measurements.T, strict=True):
             name = signal.name
             if name in estimated or (declared and name not in declared):
-                noise[name] = max(noise[name], float(noise_estimate(column[:, None])[0]))
+                estimate = float(noise_estimate(column[:, None])[0])
                 if name not in estimated:
-                    noise[name] = max(noise[name], (quantum(column) or 0.0) / 12**0.5)
+                    span = float(np.nanmax(column) - np.nanmin(column))
+                    rounding = (quantum(column) or 0.0) / 12**0.5
+                    noise[name] = max(estimate, rounding, _LEAST_SHARE * span)
+                noise[name] = max(noise[name], estimate)
                 said.append(f"{name} {noise[name]:.3g} {signal.unit}")
         if said:
             remarks.append(f"noise estimated from the data: {', '.join(said)}")

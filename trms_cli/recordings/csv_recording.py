@@ -185,7 +185,7 @@ def _columns(
                 remedy="keep one of them",
             )
     others = vocabulary.left_out([column.name for column in columns], where)
-    require_channels([c.channel.name for c in columns if c.channel], where, vocabulary)
+    require_channels([c.channel.name for c in columns if c.channel], where, vocabulary, others)
     return columns, [f"not used: {', '.join(others)}"] if others else []
 
 

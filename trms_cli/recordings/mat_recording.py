@@ -253,7 +253,7 @@ def _recording(path: Path, variables: dict[str, Any], vocabulary: Vocabulary | N
     vocabulary = vocabulary or Vocabulary.declared(metadata, columns, where)
     ignored = vocabulary.left_out(columns, where)
     own = {str(vocabulary.name_of(name)): name for name in columns if name not in ignored}
-    require_channels(list(own), where, vocabulary)
+    require_channels(list(own), where, vocabulary, ignored)
     time = _vector(path, own["t"], variables[own["t"]])
     time, _ = to_si(time, str(units.get(own["t"], "s")), ("s",), where=where, name=own["t"])
     _check_time(path, time, own["t"])

@@ -172,8 +172,17 @@ def quantum(values: np.ndarray) -> float | None:
     return step if float(np.max(off_grid)) < 0.25 * step else None
 
 
-def require_channels(names: Sequence[str], where: str, vocabulary: Vocabulary) -> None:
-    """Raise when a file lacks the time, an input or an output among its names."""
+#: How a file's own names are told.
+_NAMES = "if another column is it, say so: 'data.names={SIGNAL: COLUMN}'"
+
+
+def require_channels(
+    names: Sequence[str], where: str, vocabulary: Vocabulary, others: Sequence[str] = ()
+) -> None:
+    """Raise when a file lacks the time, an input or an output among its names.
+
+    ``others``: its columns that are none of the vocabulary's.
+    """
     inputs, outputs = (
         f"at least one of {', '.join(vocabulary.of_role(vocabulary.channels, role))}"
         for role in ("input", "output")
@@ -185,9 +194,9 @@ def require_channels(names: Sequence[str], where: str, vocabulary: Vocabulary) -
     ):
         if not there:
             raise RecordingError(
-                f"it lacks {what}; it has {', '.join(names) or 'nothing'}",
+                f"it lacks {what}; it has {', '.join((*names, *others)) or 'nothing'}",
                 where=where,
-                remedy=remedy,
+                remedy=remedy + (f"; {_NAMES}" if others else ""),
             )
 
 

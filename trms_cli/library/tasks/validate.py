@@ -93,7 +93,7 @@ def _check_noise(datasets: Sequence[Dataset]) -> None:
     """A channel without noise would weigh infinitely much, and no band would hold."""
     for dataset in datasets:
         for signal, sd in zip(dataset.outputs, dataset.noise_sd, strict=True):
-            if not sd > _NO_NOISE:
+            if sd == _NO_NOISE:
                 raise ConfigurationError(
                     f"no noise of {signal.name} is declared",
                     where="data.noise_sd",
