@@ -81,13 +81,17 @@ def _run_around(y: np.ndarray, k: int, candidates: set[int], limit: float) -> ra
 
 
 def _off_cubic(y: np.ndarray, run: range) -> float:
-    """How far a run is off the cubic through two samples on each side; infinite at an end."""
-    sides = [run.start - 2, run.start - 1, run.stop, run.stop + 1]
+    """How far a run is off the cubic through two samples on each side.
+
+    At an end it is the parabola through three samples.
+    """
+    around = [run.start - i for i in (3, 2, 1)], [run.stop + i for i in (0, 1, 2)]
+    sides = [*around[0][1:], *around[1][:2]]
     if sides[0] < 0 or sides[-1] >= len(y):
-        return np.inf
+        sides = around[1] if sides[0] < 0 else around[0]
     centre = run.start
-    cubic = np.polyfit([i - centre for i in sides], y[sides], 3)
-    return float(np.max(np.abs(y[run] - np.polyval(cubic, [k - centre for k in run]))))
+    curve = np.polyfit([i - centre for i in sides], y[sides], len(sides) - 1)
+    return float(np.max(np.abs(y[run] - np.polyval(curve, [k - centre for k in run]))))
 
 
 def _stands_apart(y: np.ndarray, run: range, limit: float) -> bool:
