@@ -285,7 +285,8 @@ class ModelRigs:
             self._late[i].push(self._y[i])
             lag = self._has(f"{name}_lag", "time_constant")
             if lag is not None:
-                self._slow[i] += (self._y[i] - self._slow[i]) * _share(h, lag)
+                mean = (self._y[i] + self._y_before[i]) / 2
+                self._slow[i] += (mean - self._slow[i]) * _share(h, lag)
             a = self._axis_of[i]
             if a is not None and self._has(f"{name}_flexible_mode", "share") is not None:
                 self._modes[i].advance((self._rates[a] - before[a]) / h, h)
@@ -298,8 +299,10 @@ class ModelRigs:
             u = self._delays[i].read(u)
             lag = self._has(f"{name}_lag", "time_constant")
             if lag is not None:
-                self._lagged[i] += (u - self._lagged[i]) * _share(self._h, lag)
-                u = np.where(lag > 0, self._lagged[i], u)
+                # its mean over the step: the value at either end is half a step off in time
+                over = (self._lagged[i] - u) * _share(self._h, lag)
+                self._lagged[i] -= over
+                u = np.where(lag > 0, u + over * lag / self._h, u)
             width = self._has(f"{name}_backlash", "width")
             if width is not None:
                 u = self._plays[i].follow(u, width)
@@ -313,8 +316,8 @@ class ModelRigs:
             if rise is not None:
                 most = np.where(rise > 0, self._limits[i] / np.maximum(rise, 1e-9), np.inf)
                 change = np.clip(u - self._slewed[i], -most * self._h, most * self._h)
+                u = np.where(rise > 0, self._slewed[i] + change / 2, u)
                 self._slewed[i] += change
-                u = self._slewed[i].copy()
             drift, slow = (self._size(f"{name}_gain_drift", s) for s in ("drift", "time_constant"))
             if drift.any():
                 u = u * (1 + drift * (1 - np.exp(-self.time / np.maximum(slow, 1e-6))))
@@ -344,7 +347,7 @@ class ModelRigs:
             )
             if sine.any() or cosine.any():
                 turn = 2 * np.pi * q / np.where(period > 0, period, 1.0)
-                force = force + sine * np.sin(turn) + cosine * np.cos(turn)
+                force = force - sine * np.sin(turn) - cosine * np.cos(turn)
             sd, time = (self._size(f"{axis}_disturbance", s) for s in ("torque", "time"))
             if sd.any():
                 decay = np.exp(-self._h / np.maximum(time, 1e-3))

@@ -15,6 +15,7 @@ from experiments.gap.blind.model_rig import ModelRigs, growing_size, law_of
 from experiments.gap.blind.model_set import RigSource, draw_nuisances
 from experiments.gap.blind.recording import Timing
 from trms_cli.core.compilation import BufferedFunction
+from trms_cli.effects.extended_model import extend_model
 from trms_cli.library.tasks.diagnose import candidates_of
 from trms_cli.models.discretisation import discretise
 
@@ -171,3 +172,48 @@ def test_sizes_of_generated_effects_are_judged() -> None:
     judged = JudgedCase(name="c", case=case, answer=answer_of(document))
     assert judged.exact
     assert judged.size_errors == {"carriage_stribeck_friction": pytest.approx(0.1)}
+
+
+#: Share of an effect's own signature by which the two codes may differ; frictions, hysteresis and
+#: damping follow other laws in the rigs, on purpose.
+OTHER_LAW = {"friction": 0.1, "hysteresis": 0.35, "flexible_mode": 0.1, "gain_drift": 0.1}
+
+
+@pytest.mark.slow
+def test_effects_are_those_of_the_library(source) -> None:
+    """Two codes, one physics: a sign or a moment that is wrong in one of the two shows here."""
+    model = source.model
+    commands = 0.7 * model.input_bounds()[1] * np.sin(12 * SAMPLE * np.arange(40))[:, None]
+    effects = [e for e in source.inside() if not e.endswith(("_disturbance", "_dropout"))]
+    rigs = {f"{e}.{n}": v for e in effects for n, v in source.sized(e, 1.0).items()}
+    n = len(effects) + 1
+    sizes = {name: np.zeros(n) for name in rigs}
+    for i, effect in enumerate(effects):
+        for name, value in source.sized(effect, 1.0).items():
+            sizes[f"{effect}.{name}"][i] = value
+    own = ModelRigs(model, np.tile(model.parameters.values, (n, 1)), sizes, {}, SAMPLE, 0)
+    readings = []
+    for u in commands:
+        readings.append(own.measure())
+        own.advance(np.tile(u, (n, 1)))
+    moves = np.array(readings)
+    wrong = {}
+    for i, effect in enumerate(effects):
+        extended = extend_model(model, {effect: source.effects[effect]})
+        discrete = discretise(extended, SAMPLE, 16, sensors=True)
+        step = BufferedFunction(discrete.step, compile=False)
+        sense = BufferedFunction(discrete.measurement, compile=False)
+        p, w = extended.parameters.values, np.zeros(extended.n_w)
+        x, expected = discrete.initial(extended.rest(), 0 * commands[0]), []
+        if effect.endswith("_gain_drift"):  # a drive that warms up is cold at first
+            x = np.zeros(discrete.n_x)
+        for u in commands:
+            expected.append(sense.evaluate(x, u, p)[0].copy())
+            x = step.evaluate(x, u, p, w)[0].copy()
+        signature = np.abs(moves[:, i] - moves[:, -1]).max(axis=0)
+        signature += 1e-3 * np.abs(moves[:, -1]).max(axis=0)
+        share = (np.abs(moves[:, i] - np.array(expected)).max(axis=0) / signature).max()
+        allowed = next((s for law, s in OTHER_LAW.items() if effect.endswith(law)), 0.02)
+        if share > allowed:
+            wrong[effect] = round(float(share), 3)
+    assert not wrong
