@@ -52,6 +52,9 @@ ARGUMENTS = (
 #: Further ones of a horizon that has a cost of its end: ξ's origin, the cost's root L, and √α.
 REGION_ARGUMENTS = ("centre", "root", "radius")
 
+#: Usual control periods of a horizon; of an unstable model they end after a growth by e to this,
+#: but not before.
+_PERIODS, _MOST_GROWTH, _LEAST_PERIODS = 40, 5.0, 5
 #: Usual weights of an error and its rate (1 and s², by the square of its scale) and of a move, for
 #: a model with signals of its own.
 _ERROR, _RATE, _MOVE = 1.0, 0.5, 0.0125
@@ -66,7 +69,8 @@ class HorizonSettings:
 
     sample_time: Positive = 0.1  #: Control period, s
     delay: Delay = "none"
-    prediction_horizon: Annotated[int, Meta(ge=2)] = 40  #: N, control periods
+    #: N, control periods; as it stands here, fewer of an unstable model of a user's
+    prediction_horizon: Annotated[int, Meta(ge=2)] = _PERIODS
     #: Lengths of the blocks over which an input is constant, in control periods (the control
     #: horizon). The last block lasts to the end of the prediction horizon; what is beyond it is
     #: left out.
@@ -114,7 +118,9 @@ class HorizonSettings:
     def for_model(self, model: Model) -> Self:
         """The settings with weights by the scales of a model, where those given name another's.
 
-        Prices of soft limits are then of a share of the limited states' scale.
+        Prices of soft limits are then of a share of the limited states' scale. The usual number of
+        periods ends where what is unstable has grown by e⁵: beyond, a simulation of the plan says
+        more of its rounding than of its inputs.
         """
         if model.bench_sizes:
             return self
@@ -133,6 +139,10 @@ class HorizonSettings:
         limited = [model.state_index(n) for n in self.soft_limits if n in model.state_names]
         unit = float(ratios.states[limited].min(initial=np.inf)) if limited else 1.0
         linear, quadratic = self.soft_linear / unit, self.soft_quadratic / unit**2
+        if self.prediction_horizon == _PERIODS:
+            until = _MOST_GROWTH / max(ratios.growth * self.sample_time, 1e-9)
+            least = max(_LEAST_PERIODS, self.preview_horizon)
+            changes["prediction_horizon"] = int(np.clip(until, least, _PERIODS))
         return replace(self, **changes, soft_linear=linear, soft_quadratic=quadratic)
 
     @property

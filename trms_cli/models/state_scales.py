@@ -29,6 +29,7 @@ class StateScales:
     inputs: FloatArray  #: (n_u,); full command
     disturbances: FloatArray  #: (n_w,)
     time: float  #: s, of its dynamics
+    growth: float = 0.0  #: 1/s, of what grows fastest by itself at rest; 0 where nothing does
 
 
 @lru_cache(maxsize=32)
@@ -53,7 +54,9 @@ def state_scales(model: Model) -> StateScales:
     f = model.dynamics(x, u, p, w)
     slopes = ca.Function("slopes", [x, u, p, w], [ca.jacobian(f, x), ca.jacobian(f, w)])
     at = (model.rest(), np.zeros(model.n_u), model.parameters.values, np.zeros(model.n_w))
-    by_state, by_disturbance = (np.abs(np.nan_to_num(np.array(m))) for m in slopes(*at))
+    by_state, by_disturbance = (np.nan_to_num(np.array(slope)) for slope in slopes(*at))
+    growth = max(0.0, float(np.linalg.eigvals(by_state).real.max()))
+    by_state, by_disturbance = np.abs(by_state), np.abs(by_disturbance)
     for axis, place in model.axes.items():
         row = model.state_index(place.angle)
         states[row] = scales.travels[axis]
@@ -73,7 +76,7 @@ def state_scales(model: Model) -> StateScales:
         for j in np.flatnonzero(np.isnan(values)):
             rows = np.flatnonzero((slopes_of[:, j] > _NO_SLOPE) & np.isfinite(reach))
             values[j] = min(reach[rows] / slopes_of[rows, j], default=1.0)
-    return StateScales(states, inputs, disturbances, scales.time)
+    return StateScales(states, inputs, disturbances, scales.time, growth)
 
 
 def bench_ratios(model: Model) -> StateScales:
@@ -89,6 +92,7 @@ def bench_ratios(model: Model) -> StateScales:
         scales.inputs / BENCH.input,
         scales.disturbances / BENCH.force,
         scales.time / BENCH.time,
+        scales.growth,
     )
 
 
