@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from trms_cli.sweeps.figures import canonical, figure_of
+from trms_cli.sweeps.figures import canonical, figure_of, unit_of
 from trms_cli.sweeps.samplers.drawing import Robustness
 from trms_cli.sweeps.samplers.random import Random
 from trms_cli.sweeps.space import Choice, PriorOfKey, RunResult, Space, short_keys
@@ -85,6 +85,20 @@ def test_spreads_and_the_best_are_those_of_the_runs():
     assert lqr["percentiles"][95] == lqr["q95"]
     shares = [group["figures"]["rmse_alpha_h"]["best_share"] for group in summary["groups"]]
     assert shares == [0.0, 1.0]
+
+
+def test_a_rig_with_other_channels_is_told_by_its_own():
+    def cart(point):
+        return RunResult(point.number, "done", {"rmse_position": 0.1, "effort": 2.0})
+
+    proposals = Random(samples=3, seed=1, figures=("rmse_yaw", "effort")).start(
+        Space((), (), PARAMETERS)
+    )
+    points = proposals.more([], proposals.total)
+    summary = proposals.summary({point.number: cart(point) for point in points})
+    # an effort that is the sum over inputs of another rig is not in V² s
+    assert summary["figures"] == {"rmse_position": {"unit": ""}, "effort": {"unit": ""}}
+    assert unit_of("effort", ("rmse_alpha_v",)) == "V² s" and unit_of("solve_p99", ("x",)) == "ms"
 
 
 def test_runs_of_one_draw_count_once():

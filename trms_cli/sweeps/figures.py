@@ -1,10 +1,11 @@
 """Figures of a run by the names that ``trms runs`` has for them, as samplers are told of them."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from difflib import get_close_matches
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.runs.columns import ALIASES, COLUMNS, figure_stems
+from trms_cli.scoring.figures import of_group
 from trms_cli.sweeps.space import RunResult
 
 #: What a command itself calls its figure of merit: the cost of ``trms identify``, …
@@ -80,7 +81,19 @@ def figure_of(result: RunResult, name: str) -> float | None:
     return value
 
 
-def unit_of(name: str) -> str:
-    """Unit of a figure; "" for counts and for what is not known."""
+def unit_of(name: str, figures: Collection[str] = ()) -> str:
+    """Unit of a figure; "" for counts and for what is not known.
+
+    ``figures``: those of runs; what is added over channels of another rig has its own unit.
+    """
     column = COLUMNS.get(name)
-    return column.unit if column is not None else ""
+    is_total = any(f.total and f.column_name == name for f in of_group("channels", "inputs"))
+    own = tracking_errors(figures)
+    if column is None or (is_total and own and not any(each in COLUMNS for each in own)):
+        return ""
+    return column.unit
+
+
+def tracking_errors(figures: Iterable[str]) -> list[str]:
+    """Those of some figures that are RMS tracking errors of a channel."""
+    return sorted(name for name in figures if name.startswith("rmse_"))

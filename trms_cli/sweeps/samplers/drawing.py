@@ -14,7 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.sweeps.figures import MERIT, canonical_all, canonical_limits, figure_of, unit_of
+from trms_cli.sweeps.figures import (
+    MERIT,
+    canonical_all,
+    canonical_limits,
+    figure_of,
+    tracking_errors,
+    unit_of,
+)
 from trms_cli.sweeps.space import Choice, PriorOfKey, Range, RunResult, Space, SweepPoint
 
 #: Of the intervals of shares and of what is called a correlation.
@@ -48,7 +55,10 @@ class Robustness:
         ``points``: those that have results; interrupted ones are left out.
         """
         ended = [p for p in points if results[p.number].state != "interrupted"]
+        there = {name for p in ended for name in results[p.number].figures}
         names = [n for n in self.figures if any(_has(results[p.number], n) for p in ended)]
+        if tracking_errors(self.figures) and not tracking_errors(names):
+            names = [*tracking_errors(there), *names]  # those of a rig with other channels
         if not names and any(_has(results[p.number], MERIT) for p in ended):
             names = [MERIT]
         keys = [c.key for c in space.choices if c.key != _REPEATS and len(c.values) > 1]
@@ -70,7 +80,7 @@ class Robustness:
             "kind": "robustness",
             "confidence": CONFIDENCE,
             "varied": [varied.key for varied in space.continuous],
-            "figures": {name: {"unit": unit_of(name)} for name in names},
+            "figures": {name: {"unit": unit_of(name, there)} for name in names},
             "limits": dict(self.limits),
             "groups": statistics,
         }

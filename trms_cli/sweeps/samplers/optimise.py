@@ -356,7 +356,7 @@ def outcome(
         "objectives": [
             {
                 "name": name,
-                "unit": unit_of(name),
+                "unit": unit_of(name, aims.objectives),
                 "direction": "maximise" if name in aims.maximised else "minimise",
             }
             for name in aims.objectives
