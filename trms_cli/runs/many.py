@@ -63,7 +63,8 @@ def _of_index(root: Path, tell: Tell) -> Folder:
     left_out: list[tuple[str, str]] = []
     to_read: dict[str, None] = {}
     with looked_through([place], tell) as (index, walk):
-        bases = index.bases()
+        bases, own = index.bases(), index.units(scope_sql([place]))
+        units = {"channels": own.get("rmse", "rad"), "inputs": own.get("total_variation", "V")}
         decode = msgspec.json.Decoder(list[Any]).decode
         for log, text, figures in index.compared(FIGURE_COLUMNS, scope_sql([place])):
             if text is None:
@@ -79,6 +80,7 @@ def _of_index(root: Path, tell: Tell) -> Folder:
                 message=message,
                 non_finite=non_finite,
                 figures=figures,
+                units=units,
                 settings=Settings(base, changes),
             )
             runs.append((_order(log), run))

@@ -136,12 +136,19 @@ def runs_of_rows(result: QueryResult, draw_keys: Sequence[str] = ()) -> list[Com
             run_coordinates[_DRAW] = draws.setdefault(place, str(len(draws) + 1))
         return run_coordinates
 
+    columns = {"channels": "rmse", "inputs": "total_variation"}
+    units = {
+        group: result.columns[name].unit
+        for group, name in columns.items()
+        if name in result.columns
+    }
     return [
         ComparisonRun(
             path=str(row["path"]),
             coordinates=coordinates(row, values),
             state=_state(row),
             figures=tuple(map(row.get, FIGURE_COLUMNS)),
+            units=units,
             message=str(row.get("problem") or ""),
         )
         for row, values in zip(result.runs, typed, strict=True)

@@ -287,9 +287,10 @@ def _unit_of(ranking: ranked.Ranking, group: str, usual: str) -> str:
 
     Empty where they have several: a sum over them has none.
     """
-    runs = chain.from_iterable(ranking.contest.cells.values())
+    runs = list(chain.from_iterable(ranking.contest.cells.values()))
     owners = chain.from_iterable(part(run.score, group).values() for run in runs)
-    units = {str(own["unit"]) for own in owners if own.get("unit")} or {usual}
+    units = {str(own["unit"]) for own in owners if own.get("unit")}
+    units = units | {run.units[group] for run in runs if group in run.units} or {usual}
     return units.pop() if len(units) == 1 else ""
 
 

@@ -105,6 +105,8 @@ class ComparisonRun:
     """Of a job that left no log: dotted keys as typed, all that is known of its configuration."""
     #: Of a run that the index tells of, in place of its score: values of :data:`FIGURES`
     figures: Sequence[float | None] | None = field(default=None, repr=False)
+    #: likewise: units of ``channels`` and ``inputs``; empty: the score has them
+    units: Mapping[str, str] = field(default_factory=dict, repr=False)
     #: likewise, in place of its configuration
     settings: Settings | None = field(default=None, repr=False)
 
