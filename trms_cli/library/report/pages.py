@@ -136,12 +136,8 @@ def runs_of_rows(result: QueryResult, draw_keys: Sequence[str] = ()) -> list[Com
             run_coordinates[_DRAW] = draws.setdefault(place, str(len(draws) + 1))
         return run_coordinates
 
-    columns = {"channels": "rmse", "inputs": "total_variation"}
-    units = {
-        group: result.columns[name].unit
-        for group, name in columns.items()
-        if name in result.columns
-    }
+    totals = {"channels": "rmse", "inputs": "total_variation"}
+    units = {group: c.unit for group, n in totals.items() if (c := result.columns.get(n))}
     return [
         ComparisonRun(
             path=str(row["path"]),
