@@ -17,7 +17,6 @@ from trms_cli.gap.force.short_law import short_law_of
 from trms_cli.gap.free_runs import expected_errors
 from trms_cli.gap.problem import (
     GapProblem,
-    applicable_candidates,
     finest_step,
     horizons_of,
     poor_excitation,
@@ -224,12 +223,3 @@ def test_a_reference_within_what_was_recorded():
     low, high = np.quantile(dataset.measurements, (0.05, 0.95))
     assert sines["position"][0] == pytest.approx((high - low) / 2, rel=0.05)
     assert f"ref.position.amplitude={sines['position'][0]:g}" in reference_words("sine", sines)
-
-
-def test_an_effect_that_does_nothing_has_vanished():
-    candidates, _ = applicable_candidates(SERVO, candidates_of(("all",), SERVO).effects)
-    cogging = candidates["carriage_cogging"]
-    sizes = {"sine": 1e-3, "cosine": -1e-3, "period": 0.05}
-    values = {f"carriage_cogging.{name}": value for name, value in sizes.items()}
-    assert cogging.has_vanished(values)
-    assert not cogging.has_vanished(values | {"carriage_cogging.cosine": 5.0})

@@ -31,6 +31,7 @@ from trms_cli.gap.problem import (
     diagnosed_recordings,
     mean_tilt,
     poor_excitation,
+    recorded_values,
 )
 from trms_cli.gap.shrinkage import Shrinkage
 from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
@@ -278,15 +279,10 @@ def _next(problem: GapProblem, comparison: StateComparison) -> NextExperiment | 
     if not groups or not places:
         return None
     angle = moments[places[0]]
-    angles = [
-        d.measurements[:, i]
-        for d in problem.datasets
-        for i, output in enumerate(d.outputs)
-        if output.name == angle
-    ]
-    if not angles:
+    angles = recorded_values(problem.datasets, angle)
+    if not len(angles):
         return None
-    hold_angle = float(np.nanmedian(np.concatenate(angles)))
+    hold_angle = float(np.median(angles))
     parts = parts_of(problem.model)
     axis = parts.axis_at(places[0])
     unit, travel = parts.unit(axis), port_scale(problem.model, axis=axis).travel

@@ -175,9 +175,10 @@ def _where(stages: StageResults) -> tuple[LocationShare, ...]:
     random = np.random.default_rng(np.random.SeedSequence([stages.problem.seed, 1]))
     m = place.together.size
     residual = _residual_places(posterior)
-    whole = _shares(posterior.probabilities, place.share(), candidates, residual)
+    contributions = {n: _contributions(n, stages.race) for n in posterior.probabilities}
+    whole = _shares(posterior.probabilities, place.share(), candidates, residual, contributions)
     resampled_shares = [
-        _shares(p, place.share(random.integers(0, m, m)), candidates, residual)
+        _shares(p, place.share(random.integers(0, m, m)), candidates, residual, contributions)
         for p in posterior.resampled
     ]
     rows = []
@@ -201,8 +202,12 @@ def _shares(
     by_disturbance: Mapping[str, float],
     candidates: Mapping[str, CandidateEffect],
     residual: Sequence[str],
+    contributions: Mapping[tuple[str, ...], Sequence[float]],
 ) -> dict[str, float]:
-    """``residual``: where what has no name acts; empty where that is not known."""
+    """``residual``: where what has no name acts; empty where that is not known.
+
+    ``contributions``: of the effects of each cause, as of :func:`_contributions`.
+    """
     unnamed = {k: v for k, v in by_disturbance.items() if not residual or k in residual}
     total = sum(unnamed.values())
     shares: dict[str, float] = {}
@@ -212,13 +217,27 @@ def _shares(
                 for location, share in unnamed.items():
                     shares[location] = shares.get(location, 0.0) + probability * share / total
             continue
-        for name in effects:
+        own = contributions.get(effects) or [len(effects)] * len(effects)
+        for name, part_of in zip(effects, own, strict=True):
             places = candidates[name].locations
             weights = np.array([by_disturbance.get(p, 0.0) + 1e-3 for p in places])
             for location, weight in zip(places, weights / weights.sum(), strict=True):
-                part = probability * weight / len(effects)
+                part = probability * weight / part_of
                 shares[location] = shares.get(location, 0.0) + float(part)
     return shares
+
+
+def _contributions(effects: tuple[str, ...], race: Race) -> list[float]:
+    """What some effects explain together over what each does: their number on small benches.
+
+    On other rigs by what is lost without it, where the others have raced alone.
+    """
+    scores = {entry.names: entry.fit.score for entry in race.entries}
+    less = [scores.get(tuple(n for n in effects if n != name), np.nan) for name in effects]
+    lost = np.maximum(scores.get(effects, np.nan) - np.array(less), 0.0)
+    if race.refit.model.bench_sizes or not lost.sum() > 0:
+        return [len(effects)] * len(effects)
+    return [float(lost.sum() / max(v, 1e-9)) for v in lost]
 
 
 def _causes(stages: StageResults) -> tuple[Cause, ...]:

@@ -103,16 +103,18 @@ _FEWEST_BLOCKS = 4
 _ONE_POINT, _OF_TRAVEL, _MOST_OF_THE_TIME = 0.1, 0.02, 0.7
 
 
+def recorded_values(datasets: Sequence[Dataset], name: str) -> FloatArray:
+    """All that recordings have measured of an output, (k,), finite."""
+    measuring = [d for d in datasets if name in names(d.outputs)]
+    values = np.concatenate([np.zeros(0), *(d.output(name) for d in measuring)])
+    return values[np.isfinite(values)]
+
+
 def mean_tilt(model: Model, datasets: Sequence[Dataset]) -> float:
     """rad, angle of the beam about which recordings were made; zero where none has it."""
     parts = parts_of(model)
     angle = parts.axes[parts.beam].angle if parts.beam else ""
-    tilts = [
-        float(np.nanmean(d.measurements[:, i]))
-        for d in datasets
-        for i, signal in enumerate(d.outputs)
-        if signal.name == angle
-    ]
+    tilts = [v.mean() for v in (recorded_values([d], angle) for d in datasets) if len(v)]
     return float(np.mean(tilts)) if tilts else 0.0
 
 
@@ -121,14 +123,7 @@ def poor_excitation(model: Model, datasets: Sequence[Dataset]) -> tuple[str, ...
     still_axes: dict[str, str] = {}
     parts = parts_of(model)
     for name, axis in model.axes.items():
-        columns = [
-            d.measurements[:, i]
-            for d in datasets
-            for i, output in enumerate(d.outputs)
-            if output.name == axis.angle
-        ]
-        angle = np.concatenate(columns) if columns else np.zeros(0)
-        angle = angle[np.isfinite(angle)]
+        angle = recorded_values(datasets, axis.angle)
         if not len(angle):
             continue
         middle = float(np.median(angle))
@@ -344,8 +339,6 @@ _SPREAD_SHAPES = {
     "width": (0.15, 0.5, 0.85),
     "frequency": tuple(np.linspace(0.0, 1.0, 24).tolist()),
 }
-#: Share of the least typical size below which an effect does nothing.
-_VANISHED = 0.05
 #: How far towards the ends of its typical range an angle off the middle is tried.
 _OFF = 0.5
 #: Width of a size's prior, in the largest typical size.
@@ -403,21 +396,6 @@ class CandidateEffect:
             if type(c.effect) is simpler and c.locations == self.locations
         )
         return next(alike, None)
-
-    def has_vanished(self, values: Mapping[str, float]) -> bool:
-        """Whether the effect does nothing at some sizes: far less than the least typical ones.
-
-        ``values``: by name, ``<effect>.<size>``.
-        """
-        parameters = self.effect.parameters()
-        for i, parameter in enumerate(parameters):
-            low, high = parameter.typical or (parameter.value / 3, parameter.value * 3)
-            most = max(abs(low), abs(high))
-            least = min(abs(low), abs(high)) if low * high > 0 else most / _DECADE
-            size = abs(values[f"{self.name}.{parameter.name}"])
-            if is_amplitude(parameters, i) and size > _VANISHED * least:
-                return False
-        return True
 
     def special_share(self, values: Mapping[str, float], sds: Mapping[str, float]) -> float:
         """How probable it is that its sizes are those of its special case.

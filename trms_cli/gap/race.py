@@ -157,7 +157,8 @@ def run_race(
     if everyone and effort.deepest > 1:
         later = search.later(everyone)
         everyone += search.together(signs, everyone)
-        everyone = better_of(everyone, search.special_cases(everyone))
+        everyone = better_of(everyone, search.with_less(everyone))
+        everyone += search.special_cases(everyone)
         # from some moment on in place of throughout, where that says clearly more
         everyone = [later.pop(entry.names, entry) for entry in everyone] + [*later.values()]
     everyone.sort(key=lambda e: -e.fit.score)
@@ -346,22 +347,13 @@ class _Search:
             best = deeper
 
     def special_cases(self, entries: Sequence[FittedModel]) -> list[FittedModel]:
-        """The simpler laws that the likeliest are at their sizes, where these have not raced.
-
-        One of several effects that has vanished leaves the others: where these alone were fitted
-        worse, their search had stopped too early.
-        """
-        scores = {entry.names: entry.fit.score for entry in entries}
-        is_bench = self._refit.structure.problem.model.bench_sizes
+        """The simpler laws that the likeliest are at their sizes, where these have not raced."""
+        raced_names = {entry.names for entry in entries}
         simpler: dict[tuple[str, ...], tuple[FittedModel, ModelStructure]] = {}
         for entry in sorted(entries, key=lambda e: -e.fit.score)[: self._effort.finalists]:
-            own = entry.structure.effects
-            left = [c for c in own if is_bench or not c.has_vanished(entry.values)] or own
-            score = scores.get(tuple(sorted(c.name for c in left)), -np.inf)
-            is_short = entry.fit.score > score + _ENTRANCE
-            effects = [c if is_short else c.at_sizes(entry.values, self._candidates) for c in left]
+            effects = [c.at_sizes(entry.values, self._candidates) for c in entry.structure.effects]
             structure = self._refit.structure.with_effects(*{e.name: e for e in effects}.values())
-            if is_short or structure.names not in scores:
+            if structure.names not in raced_names:
                 simpler.setdefault(structure.names, (entry, structure))
 
         def fit(case: tuple[FittedModel, ModelStructure]) -> FittedModel:
@@ -373,6 +365,39 @@ class _Search:
             )
 
         return self._each(fit, list(simpler.values()), (0.95, 0.99), "simpler laws")
+
+    def with_less(self, entries: Sequence[FittedModel]) -> list[FittedModel]:
+        """The best with one of its effects less, and the best of these, from where it had ended.
+
+        What a first effect did in the place of others may be theirs again, and a search for these
+        alone may have stopped too early. Of small benches, whose searches hardly do, none.
+        """
+        scores = {entry.names: entry.fit.score for entry in entries}
+        results: list[FittedModel] = []
+        best = max(entries, key=lambda e: e.fit.score)
+        while len(best.names) > 1 and not best.model.bench_sizes:
+            cases = []
+            for left_out in best.structure.effects:
+                effects = [c for c in best.structure.effects if c is not left_out]
+                structure = self._refit.structure.with_effects(*effects)
+                if scores.get(structure.names, -np.inf) < best.fit.score - _ENTRANCE:
+                    cases.append((best, structure))
+            results += self._each(
+                lambda case: self._once(
+                    f"less {'+'.join(case[0].names)} {'+'.join(case[1].names)}",
+                    case[1],
+                    lambda: self._fit_special_case(*case),
+                ),
+                cases,
+                (0.94, 0.95),
+                "with one effect less",
+            )
+            size = len(best.names) - 1
+            again = [e for e in (*results, *entries) if len(e.names) == size]
+            best = max(again, key=lambda e: e.fit.score, default=best)
+            if len(best.names) > size:
+                break
+        return results
 
     def _fit_special_case(self, entry: FittedModel, structure: ModelStructure) -> FittedModel:
         """A fit with simpler laws, from the sizes that both have."""

@@ -7,6 +7,7 @@ it tells what is to be had if the diagnosis is right.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from time import process_time
 from types import MappingProxyType
@@ -16,8 +17,10 @@ from scipy.special import stdtrit
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
+from trms_cli.core.invocation import notes_to
 from trms_cli.core.wording import listing, number, percent, signal, small_unit
 from trms_cli.gap.diagnosis import LoopGain, Worth
+from trms_cli.gap.problem import recorded_values
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.beam_rig import AXES
 from trms_cli.models.model import Model
@@ -80,14 +83,7 @@ def sine_within(datasets: Sequence[Dataset], axes: Sequence[str]) -> dict[str, t
     """
     sines = {}
     for axis in axes:
-        columns = [
-            d.measurements[:, i]
-            for d in datasets
-            for i, output in enumerate(d.outputs)
-            if output.name == axis
-        ]
-        values = np.concatenate(columns) if columns else np.zeros(0)
-        values = values[np.isfinite(values)]
+        values = recorded_values(datasets, axis)
         if not len(values):
             continue
         low, high = (float(v) for v in np.quantile(values, _RANGE))
@@ -303,7 +299,9 @@ def _differences(
         if process_time() > until:
             raise _TooSlow
 
-    with np.errstate(all="ignore"):
+    # whether the usual control period suits the rig is said when it is driven
+    is_bench = experiment.model.bench_sizes
+    with np.errstate(all="ignore"), nullcontext() if is_bench else notes_to(lambda text: None):
         loop = Loop.start(replace(experiment, prediction_every=0), make_history)
         loop.run(watch)
     reference = loop.history.columns("/reference")
