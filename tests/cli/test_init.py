@@ -161,6 +161,7 @@ def test_folders_can_be_named_by_the_environment(trms, rig: Path) -> None:
     ("text", "words"),
     [
         ("config = [", "cannot be read"),
+        ("config = " + "[" * 20000, "cannot be read"),
         ('configs = ["configs"]', "unknown key 'configs'"),
         ('config = "configs"', "config is not as it should be"),
         ('config = ["nowhere"]', "there is no folder"),

@@ -16,6 +16,7 @@ A file of another user is not read, for a folder that everybody writes into may 
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,9 @@ def rig_folder() -> RigFolder | None:
         return None
     for folder in (here, *here.parents):
         file = folder / FILE
-        if file.is_file():
+        with suppress(OSError):  # a folder above may be closed to us
+            if not file.is_file():
+                continue
             return _read(file) if _is_ours(file) else None
     return None
 
@@ -73,7 +76,7 @@ def _read(file: Path) -> RigFolder:
     try:
         with file.open("rb") as content:
             document = tomllib.loads(content.read(_LONGEST).decode())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigurationError(
             f"cannot be read: {error}", where=str(file), remedy="mend it, or remove it"
         ) from error
