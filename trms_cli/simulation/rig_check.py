@@ -17,7 +17,7 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.ranges import NotNegative, Positive
-from trms_cli.models.model import names
+from trms_cli.models.model import Model, names
 from trms_cli.plants.envelope import EnvelopeSetup, envelope_of
 from trms_cli.plants.hardware import HardwareRig
 from trms_cli.plants.landing import landing_of
@@ -114,14 +114,23 @@ class Movement:
 class RigCheck:
     """A rig that is opened, looked at, pulsed, and in any case landed and closed.
 
-    Used as a context: ``with RigCheck(plant, request) as check: …``.
+    Used as a context: ``with RigCheck(plant, request) as check: …``. ``model``: one with signals of
+    its own; None: a twin rotor's.
     """
 
-    def __init__(self, plant: HardwareRig, request: RigCheckRequest) -> None:
+    def __init__(
+        self, plant: HardwareRig, request: RigCheckRequest, model: Model | None = None
+    ) -> None:
         self._request, self._plant = request, plant
         step, driver = request.step, cast(Plant, plant)
-        self.run = driver.init(PlantSetup(step, round(request.duration / step), 0))
+        self.run = driver.init(PlantSetup(step, round(request.duration / step), 0, model))
         self.outputs, self.inputs = names(self.run.outputs), names(self.run.inputs)
+        #: Angles and positions, which have a zero and rest
+        self.angles = [
+            name
+            for name in self.outputs
+            if (name.startswith("alpha") if model is None else name in _positions(model))
+        ]
         self._landing = landing_of(plant).init(self.inputs, self.run.input_limits, step)
         self._pace = Pace(step, LatePolicy())
         self._life = RigLife(self.run, self._landing, self._pace)
@@ -184,8 +193,7 @@ class RigCheck:
         end = perf_counter() + self._request.settle
         while True:
             readings = self.look(_BEFORE, stop)
-            angles = [name for name in self.outputs if name.startswith("alpha")]
-            if all(2 * readings.scatter(name) < motion for name in angles):
+            if all(2 * readings.scatter(name) < motion for name in self.angles):
                 return readings
             if perf_counter() > end:
                 raise ConfigurationError(
@@ -244,6 +252,10 @@ class RigCheck:
             [float("nan") if raw is None else float(raw[channel]) for channel in self._channels]
         )
         readings.values.append(y.tolist())
+
+
+def _positions(model: Model) -> set[str]:
+    return {axis.angle for axis in model.axes.values()}
 
 
 def _ignored(*event: object) -> None:

@@ -47,13 +47,22 @@ def perform(composition: Composition) -> int:
             remedy="plant=udp, plant=serial or plant=callable; `trms rig serve` gives one to try",
         )
     person = _Person()
+    model = build(config["model"], "model")
+    own = None if model.bench_sizes else model
+    if request.pulse and own is not None:
+        raise ConfigurationError(
+            f"{request.pulse:g} given, and pulses are for twin rotors, whose beam tells the signs",
+            where="pulse",
+            remedy="pulse=0 looks and takes the zero; to see which way a command moves the rig: "
+            "trms run controller=open_loop signal@controller.INPUT=step",
+        )
     if request.pulse and not person.is_there:
         raise ConfigurationError(
             f"{request.pulse:g} V given, and nobody is at a terminal to say which way it moves",
             where="pulse",
             remedy="pulse=0 only looks",
         )
-    with RigCheck(plant, request) as check:
+    with RigCheck(plant, request, own) as check:
         session = _Session(check, plant, request, person)
         session.look()
         session.zero()
@@ -85,20 +94,21 @@ class _Person:
         """Whether it is answered by yes."""
         return self.answer(f"{question} [y/N] ") in ("y", "yes")
 
-    def angle(self, name: str, usual: float | None) -> float | None:
-        """Where an angle rests, rad; None to leave it as it is."""
+    def angle(self, name: str, usual: float | None, unit: str) -> float | None:
+        """Where an angle or position rests; None to leave it as it is."""
         hint = "leave it" if usual is None else f"{usual:g}"
         while True:
-            text = self.answer(f"  {name} here, rad [Enter: {hint}; - leaves it]: ")
+            text = self.answer(f"  {name} here, {unit} [Enter: {hint}; - leaves it]: ")
             if text in ("", "-"):
                 return usual if text == "" else None
             try:
                 value = float(text)
             except ValueError:
                 value = math.nan
-            if abs(value) <= 2 * math.pi:
+            if abs(value) <= (2 * math.pi if unit == "rad" else math.inf):
                 return value
-            sys.stderr.write("  an angle in rad, as -0.62\n")
+            what = "an angle" if unit == "rad" else "a position"
+            sys.stderr.write(f"  {what} in {unit}, as -0.62\n")
 
     def direction(self, rotor: str) -> int:
         """Which way a rotor moved the beam: 1 the positive way, −1 the other, 0 neither."""
@@ -121,6 +131,7 @@ class _Session:
         self, check: RigCheck, plant: HardwareRig, request: RigCheckRequest, person: _Person
     ) -> None:
         self._check, self._plant, self._request, self._person = check, plant, request, person
+        self._units = {signal.name: signal.unit for signal in check.run.outputs}
         self._rest: dict[str, float] = {}
         self._turned: list[str] = []
         self._remarks: list[str | Datum] = []
@@ -137,13 +148,13 @@ class _Session:
     def zero(self) -> None:
         """Take the present angles for those at rest, where that is wanted."""
         person, wanted = self._person, self._request.zero
-        angles = [name for name in self._check.outputs if name.startswith("alpha")]
+        angles = self._check.angles
         if wanted is None and angles:
             wanted = person.agrees("does it hang still, and should this be its zero?")
         for name in angles if wanted else ():
             value = self._request.rest.get(name)
             if self._request.zero is None:
-                value = person.angle(name, value)
+                value = person.angle(name, value, self._units[name])
             if value is None:
                 continue
             if not math.isfinite(self._readings.mean(name, "raw")):
@@ -156,7 +167,8 @@ class _Session:
                 self._rest[name] = value
                 scatter = self._readings.scatter(name)
                 if 2 * scatter > self._plant.rest.motion:
-                    words = f"{name} moved by {2 * scatter:.2g} rad while its zero was taken"
+                    moved = f"{2 * scatter:.2g} {self._units[name]}"
+                    words = f"{name} moved by {moved} while its zero was taken"
                     self._remarks.append(Datum(words, "doubtful"))
 
     def turn(self, name: str) -> None:
@@ -201,11 +213,12 @@ class _Session:
             before, after = self._plant.wiring[name].offset, wires[name].offset
             self._remarks.append(
                 Datum(
-                    f"{name}: offset {before:g} → {after:.6g} (raw), {self._rest[name]:g} rad here"
+                    f"{name}: offset {before:g} → {after:.6g} (raw), {self._rest[name]:g} "
+                    f"{self._units[name]} here"
                 )
             )
         plant = str(composition.choices.get("plant"))
-        zero = ", ".join(f"{name} {value:g} rad" for name, value in self._rest.items())
+        zero = ", ".join(f"{n} {value:g} {self._units[n]}" for n, value in self._rest.items())
         head = f"wiring of plant={plant}, by trms rig check" + (f"; at rest {zero}" if zero else "")
         text = wiring_yaml(wires, head)
         of_plant = re.compile(r"plant\.(?!wiring)|\w+@plant\.(?!wiring)")
@@ -222,7 +235,7 @@ class _Session:
             next_commands.append(NextCommand(" ".join([program(), *words])))
         elif self._rest or self._turned:
             sys.stdout.write(f"\n{text}\nout=FOLDER/wiring/NAME.yaml writes this wiring\n")
-        if not self._request.pulse:
+        if not self._request.pulse and set(self._check.inputs) <= {*_ROTORS}:
             next_commands.append(
                 NextCommand(
                     f"{program()} rig check {typed} pulse=0.5",
