@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -170,7 +171,8 @@ def errors(model: Model, dataset: Dataset, settings: Mapping[str, Any]) -> dict[
         )
         if one_step is None:
             one_step = predict_one_step(model, dataset, rollout, options.predictor)
-        firsts = common_windows(dataset, options, lead_samples([model], dataset, options))
+        lead = lead_samples([model], dataset, options)
+        firsts = common_windows(dataset, options, lead, math.inf)
         runs = free_runs(model, dataset, rollout, one_step, firsts, options)
         window = runs.windows[horizon]
         for i, channel in enumerate(window.channels):

@@ -9,7 +9,7 @@ from tests.gap.recorded import recording
 from trms_cli.gap.competing_model import nominal_parameters, refit
 from trms_cli.gap.discrepancy import TrajectoryLinearisation
 from trms_cli.gap.free_runs import free_run_errors
-from trms_cli.gap.gain_drift import LEAST_DRIFT, GainDrift, gain_drift
+from trms_cli.gap.gain_drift import LEAST_DRIFT, WanderingGains, gain_drift
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import FitProblem, with_values
 from trms_cli.models.newtonian import Newtonian
@@ -44,7 +44,7 @@ def test_columns_are_what_a_gain_changes_in_the_outputs():
 
 
 def test_sizes_are_those_of_the_coefficients_and_never_nothing():
-    drift = GainDrift(np.zeros((1, 1, 1, 40)), np.repeat([0, 1], 20), np.full(40, 1 / 20))
+    drift = WanderingGains(np.zeros((1, 1, 1, 40)), np.repeat([0, 1], 20), np.full(40, 1 / 20))
     gains = np.concatenate([np.tile([0.03, -0.03], 10), np.zeros(20)])
     sizes = drift.likely_sizes(gains, np.zeros(40))
     assert sizes[0] == pytest.approx(0.03, rel=0.1)

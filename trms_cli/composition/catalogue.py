@@ -22,7 +22,6 @@ _PRIMARIES = ("run", "identify", "validate", "excite", "stability", "sweep")
 #: Groups that the primary configurations do not have: they are chosen inside others.
 _INSIDE_OTHERS = {
     "law": "of an effect on any input, axis or output of a model: effect=PORT_LAW",
-    "law": "of an effect on any input, axis or output of a model: effect=PORT_LAW",
     "disturbance": "torques on the rig: disturbance@plant.disturbances=NAME",
     "parameters": "values of a model: model.parameter_set=NAME",
     "networks": "trained networks of the models narx_…: model.network=NAME",

@@ -5,13 +5,17 @@ belongs. ``current_delay`` is the law ``delay`` at the port ``current``; whether
 seen once the effect meets it. An effect of the group ``effect`` hides a generated namesake.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trms_cli.composition.catalogue import Groups, Option, read_yaml
 from trms_cli.core.plugins import TARGET
-from trms_cli.effects.effect import Effect
-from trms_cli.models.model import Model, names
+
+if TYPE_CHECKING:  # a model is slow to import, and what is typed has none
+    from trms_cli.effects.effect import Effect
+    from trms_cli.models.model import Model
 
 GROUP, EFFECTS = "law", "effect"
 _PORT = "???"
@@ -36,7 +40,8 @@ def generated_node(name: str, groups: Groups) -> dict[str, Any] | None:
 
 def generated_nodes(model: Model, groups: Groups) -> Iterator[tuple[str, dict[str, Any]]]:
     """All laws at all ports of a model, whether they fit there or not."""
-    ports = dict.fromkeys((*names(model.inputs), *model.axes, *names(model.outputs)))
+    inputs, outputs = ([s.name for s in signals] for signals in (model.inputs, model.outputs))
+    ports = dict.fromkeys((*inputs, *model.axes, *outputs))
     for port in ports:
         for law in groups.get(GROUP, {}):
             name = f"{port}_{law}"

@@ -20,7 +20,7 @@ from trms_cli.gap.discrepancy import (
     equation_channels,
     likely_shares,
 )
-from trms_cli.gap.gain_drift import USUAL_DRIFT, GainDrift, gain_drift
+from trms_cli.gap.gain_drift import USUAL_DRIFT, WanderingGains, gain_drift
 from trms_cli.gap.problem import CandidateEffect, joint
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.map_fit import Point, SearchEnd, minimise
@@ -51,7 +51,7 @@ class Metric:
 
     discrepancy: Discrepancy  #: Linearised along the recording, through the smoothed states
     shares: FloatArray  #: (n_d,); size of the force on each equation over what acts there
-    drift: GainDrift  #: Of the drives' gains
+    drift: WanderingGains  #: Of the drives' gains
     drift_sizes: FloatArray  #: (n_u,); standard deviation of each drive's gain
     robust: float | None = 4.0  #: Innovations beyond so many sd count linearly (Huber)
     filter_: FilterGains = field(init=False, repr=False)  #: Ready to run

@@ -29,7 +29,7 @@ LEAST_DRIFT = 0.001
 
 
 @dataclass(frozen=True)
-class GainDrift:
+class WanderingGains:
     """What wandering gains do to the outputs of some windows."""
 
     columns: FloatArray  #: (m, c, n_y, k) array; change of the outputs for a gain that is one more
@@ -82,7 +82,7 @@ class GainDrift:
         return float(np.sum(0.5 * gains**2 * (other**-2 - one**-2) - np.log(one / other)))
 
 
-def gain_drift(windows: Windows, trajectory: Trajectory) -> GainDrift:
+def gain_drift(windows: Windows, trajectory: Trajectory) -> WanderingGains:
     """Columns along a trajectory, a set of knots for every recording and drive."""
     m, c, n_y, n = trajectory.h.shape
     basis = _hats(windows)
@@ -96,7 +96,7 @@ def gain_drift(windows: Windows, trajectory: Trajectory) -> GainDrift:
         x = trajectory.a[:, t] @ x + forcing.reshape(m, n, drives * knots)
     columns = np.where(windows.measured[..., None], columns, 0.0)
     weight = basis[windows.inside].mean(axis=0)
-    return GainDrift(columns, np.repeat(np.arange(drives), knots), np.tile(weight, drives))
+    return WanderingGains(columns, np.repeat(np.arange(drives), knots), np.tile(weight, drives))
 
 
 def _hats(windows: Windows) -> FloatArray:

@@ -48,7 +48,7 @@ _FACTOR = re.compile(r"([*/]?)(N\*m|rad|V|Hz|[A-Za-z]+|1)(?:\^(\d+))?")
 
 
 @dataclass(frozen=True)
-class Scales:
+class ModelScales:
     """The scales of a model."""
 
     time: float  #: s, of its dynamics: the median of its poles' time constants at rest
@@ -74,7 +74,7 @@ def acceleration_function(model: Model, axes: tuple[str, ...]) -> ca.Function:
 
 
 @lru_cache(maxsize=32)
-def scales_of(model: Model) -> Scales:
+def scales_of(model: Model) -> ModelScales:
     """The scales by a simulation: full command on each input to both sides, from rest.
 
     It lasts as long as the slowest pole at rest takes, and ends where an axis has reached its stop,
@@ -123,7 +123,7 @@ def scales_of(model: Model) -> Scales:
     inputs = {
         name: bound if np.isfinite(bound) else 1.0 for name, bound in model.input_limits.items()
     }
-    return Scales(
+    return ModelScales(
         time, inputs, _positive(axes, changes[: len(axes)], BENCH.force), outputs | by_axis
     )
 
