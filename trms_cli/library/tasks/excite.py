@@ -142,6 +142,7 @@ def playing(inputs: Sequence[str], table: str, *, has_angles: bool) -> list[str]
         for name in inputs:
             play.append(f"signal@controller.{name}=from_csv")
             play += [f"controller.{name}.file={table}", f"controller.{name}.column={name}"]
-    if not has_angles:  # a rotor alone: the references of a run are speeds
+    # a rotor alone: the references of a run are speeds
+    if not has_angles and {*inputs} <= {"u_v", "u_h"}:
         play.insert(0, "ref=speed")
     return play
