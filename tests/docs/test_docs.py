@@ -36,13 +36,13 @@ PAGES = sorted(
 )  # fmt: skip
 #: Pages whose runs are looked at afterwards: as long as they say.
 WHOLE = ["docs/recordings.md", "docs/excitation.md", "docs/tutorial.md", "docs/watch.md",
-         "docs/gap-watch.md"]  # fmt: skip
+         "docs/gap-watch.md", "docs/diagnose.md", "docs/how-to/own-effect.md"]  # fmt: skip
 #: Pages that a test of their own types; so do those of examples.
 ELSEWHERE = {"docs/identify.md"}
 #: Pages that are typed in seconds; the others are left to `make slow`.
 QUICK = {"docs/writing-a-plugin.md", "docs/recordings.md", "docs/excitation.md",
          "docs/foxglove.md", "docs/how-to/cluster-sweep.md", "docs/how-to/own-controller.md",
-         "docs/how-to/own-effect.md", "docs/watch.md"}  # fmt: skip
+         "docs/watch.md"}  # fmt: skip
 WHOLE += ["docs/your-own-rig.md"]  # with a diagnosis
 #: Pages that only lead to others, and the glossary itself.
 FRONT = {"index.md", "start.md", "glossary.md", "choices.md"}
