@@ -19,7 +19,7 @@ from trms_cli.core.threads import ONE_THREAD
 SUBJECTS = (
     *("newton_time", "linear_time", "exported", "peers", "acados", "objective", "tracking"),
     *("parts", "real_time", "identification", "program", "growth", "run_overhead", "sweeps"),
-    "diagnosis",
+    *("diagnosis", "scale"),
 )
 
 

@@ -42,7 +42,9 @@ def run(options: Options) -> list[Table]:
     words = (*_WORDS, f"sim.duration={options.duration(60.0):g}")
     plain, alone, viewed = [], [], []
     with tempfile.TemporaryDirectory() as scratch:
-        first = _Worker(Path(scratch) / "plain", (*words, "sim.scene_every=0"))
+        # as runs of a sweep are logged
+        of_sweep = ("sim.scene_every=0", "sim.estimate_every=10")
+        first = _Worker(Path(scratch) / "plain", (*words, *of_sweep))
         view_worker = _Worker(Path(scratch) / "shown", words)
         beginning = first.run(0)["whole"]
         for number in range(1, last):

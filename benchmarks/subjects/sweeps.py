@@ -20,7 +20,7 @@ LIMIT_MS = 10.0
 #: Least share of two cores that two workers use, as its reciprocal.
 LIMIT_CORES = 1 / 0.85
 _RUNS = 60
-_WORDS = ("controller=pid", "picture=false", "sim.scene_every=0")
+_WORDS = ("controller=pid", "picture=false", "sim.scene_every=0", "sim.estimate_every=10")
 
 
 def run(options: Options) -> list[Table]:

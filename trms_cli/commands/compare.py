@@ -6,6 +6,7 @@ from pathlib import Path
 from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
 from trms_cli.core.printable import print_json
+from trms_cli.core.uncollected import uncollected
 from trms_cli.library.tasks.compare import METRICS, SORTS, ranking_of, runs_from, sort_standings
 
 SUMMARY = "many runs ranked: tracking, effort, robustness, time of a step, failures"
@@ -44,6 +45,7 @@ Examples:
 _MOST_ROWS = 60
 
 
+@uncollected()
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
     options = PlainOptions("trms compare", HELP)

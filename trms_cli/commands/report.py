@@ -10,6 +10,7 @@ from trms_cli.commands.plain_options import PlainOptions
 from trms_cli.core.errors import EXIT_OK
 from trms_cli.core.invocation import program
 from trms_cli.core.printable import print_json, printable
+from trms_cli.core.uncollected import uncollected
 
 if TYPE_CHECKING:
     from trms_cli.library.report.pages import Report
@@ -44,6 +45,7 @@ Examples:
 SCHEMA = "trms.report/1"
 
 
+@uncollected()
 def main(argv: list[str]) -> int:
     """Run the command; return the exit code."""
     options = PlainOptions("trms report", HELP)

@@ -39,7 +39,7 @@ from trms_cli.sweeps.space import Choice, PriorOfKey, Range, Space
 
 PRIMARY = "sweep"
 #: What the runs of a sweep are given unless it is typed: nobody looks at a thousand pictures.
-_OF_RUNS = {"run": {"picture": "false", "sim.scene_every": "0"}}
+_OF_RUNS = {"run": {"picture": "false", "sim.scene_every": "0", "sim.estimate_every": "10"}}
 #: What Hydra's own keys were for, and what to write instead.
 _INSTEAD = {
     "hydra/launcher": "choose where runs are made: launcher=local, launcher=dask, launcher=slurm "

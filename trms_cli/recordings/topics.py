@@ -14,6 +14,9 @@ from typing import Any, Literal
 #: Records of a log that tell of its run and of its score, and what is attached to it.
 RUN_METADATA, SCORE_METADATA = "trms.run", "trms.score"
 CONFIG_ATTACHMENT, PARAMETERS_ATTACHMENT = "config.yaml", "parameters.yaml"
+#: The estimates of an observer; and the key of ``trms.run`` with the topics (as JSON) of which not
+#: each sample is in the log, and each how manyth is.
+ESTIMATE_TOPIC, THINNED_KEY = "/estimate", "logged_every"
 #: How the names of a viewer's schemas begin; their messages hold no samples, and readers pass them.
 VIEWER_SCHEMAS = "foxglove."
 

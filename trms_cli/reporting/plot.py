@@ -94,7 +94,7 @@ _STEPS = (1, 2, 2.5, 5, 10)
 #: Mean width of a letter over the font's size, and letters in a line of a name beside its bar.
 _LETTER, _NAME_LETTERS = 0.56, 22
 #: Keys of a configuration that say where files go and how much is kept, not what was run.
-_ASIDE = ("out", "picture", "sim.prediction_every", "sim.scene_every")
+_ASIDE = ("out", "picture", "sim.prediction_every", "sim.scene_every", "sim.estimate_every")
 #: Options that follow from others, as a log's choices have them.
 _IMPLIED = ("@", "experiment")
 

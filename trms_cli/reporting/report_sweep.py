@@ -27,6 +27,8 @@ from trms_cli.scoring.comparison.ranking import Ranking
 #: More entrants than this are not told apart by colour; their boxes still stand side by side.
 _MOST_COLOURS, _MOST_BOXES = 8, 60
 _MOST_KEYS, _MOST_CATEGORIES, _MOST_CELLS, _BINS = 8, 40, 60, 30
+#: Runs that are drawn: more dots hide one another, and make a page that no browser opens.
+_MOST_DRAWN = 5000
 #: Runs of a box that are drawn as dots too.
 _MOST_DOTS = 300
 #: Entrants that are told apart by rings around one another.
@@ -377,17 +379,24 @@ def findings_of_sweep(
     sweep: SweepReport, *, ranking: Ranking | None = None, title: str = ""
 ) -> Findings:
     """What a page tells of many runs; `ranking`: as ``trms compare`` has it."""
-    figures = _telling(sweep)
+    drawn = _drawn(sweep)
+    figures = _telling(drawn)
+    few = ""
+    if len(drawn.runs) < len(sweep.runs):
+        few = (
+            f" Drawn are {len(drawn.runs)} of the {len(sweep.runs)} runs, evenly chosen; the "
+            "ranking and the failures count all."
+        )
     several = ranking is not None and len(ranking.standings) > 1
-    varied = f"Each dot is a run; pointing at it tells which.{chosen_words(sweep)}"
+    varied = f"Each dot is a run; pointing at it tells which.{few}{chosen_words(sweep)}"
     sections = [
         _objectives(sweep),
         ranking_section(ranking if several else None),
         *(_draws(sweep.draws) if sweep.draws else ()),
         plot_section(
-            "How figures spread", spread_panels(sweep, figures), "Of the runs that ended."
+            "How figures spread", spread_panels(drawn, figures), f"Of the runs that ended.{few}"
         ),
-        plot_section("What they depend on", key_panels(sweep, figures), varied),
+        plot_section("What they depend on", key_panels(drawn, figures), varied),
         _failures(sweep),
         _all_runs(sweep),
     ]
@@ -397,6 +406,12 @@ def findings_of_sweep(
         [section for section in sections if section.blocks],
         facts=sweep.facts,
     )
+
+
+def _drawn(sweep: SweepReport) -> SweepReport:
+    """The sweep, or of a very large one as many runs as can be told apart in a picture."""
+    step = math.ceil(len(sweep.runs) / _MOST_DRAWN)
+    return sweep if step <= 1 else replace(sweep, runs=sweep.runs[::step])
 
 
 def _telling(sweep: SweepReport) -> list[str]:
@@ -629,10 +644,13 @@ def _apart(sweep: SweepReport) -> tuple[list[str], dict[str, float]]:
     """Figures that tell runs apart, and those that are the same for all, with their value."""
     apart, alike = [], {}
     for name in sweep.figures:
-        values = {run.figures[name] for run in sweep.runs if name in run.figures}
-        if len(values) == 1 and len(sweep.runs) > 1:
-            alike[name] = values.pop()
-        elif values:
+        values = (value for run in sweep.runs if (value := run.figures.get(name)) is not None)
+        first = next(values, None)
+        if first is None:
+            continue
+        if len(sweep.runs) > 1 and all(value == first for value in values):
+            alike[name] = first
+        else:
             apart.append(name)
     return apart, alike
 
@@ -640,7 +658,7 @@ def _apart(sweep: SweepReport) -> tuple[list[str], dict[str, float]]:
 def _example(sweep: SweepReport) -> str:
     """A condition that about half of the runs fulfil."""
     for name in sweep.figures:
-        values = [run.figures[name] for run in sweep.runs if name in run.figures]
+        values = [run.figures[name] for run in _drawn(sweep).runs if name in run.figures]
         if values:
             return f"{name.lower()}<{float(np.median(values)):.2g}"
     return "outcome=failed"

@@ -16,14 +16,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import yaml
+from typing import TYPE_CHECKING, Any
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.runs.columns import COLUMNS, IndexColumn, Sql
-from trms_cli.runs.configurations import BaseConfiguration, flat_of
 from trms_cli.runs.entry import IndexEntry
+
+if TYPE_CHECKING:
+    from trms_cli.runs.configurations import BaseConfiguration
 
 _TYPES = {"text": "TEXT", "number": "REAL", "whole": "INTEGER", "truth": "INTEGER"}
 _LOGS = (
@@ -218,6 +218,8 @@ class RunIndex:
 
     def _words(self, entry: IndexEntry) -> str | None:
         """What a comparison needs of a run, its configuration as what it changes of another's."""
+        import yaml
+
         words = entry.words
         if words is None:
             return None
@@ -232,6 +234,8 @@ class RunIndex:
 
     def _base(self, coordinates: str, config: str) -> BaseConfiguration:
         """The configuration that others with such coordinates are held against."""
+        from trms_cli.runs.configurations import BaseConfiguration
+
         if coordinates not in self._bases:
             self._connection.execute(
                 "INSERT OR IGNORE INTO bases (coordinates, config) VALUES (?, ?)",
@@ -245,6 +249,8 @@ class RunIndex:
 
     def bases(self) -> dict[int, tuple[dict[str, str], dict[str, str]]]:
         """Of each base by its number the coordinates, and the configuration by dotted keys."""
+        from trms_cli.runs.configurations import flat_of
+
         rows = self._connection.execute("SELECT number, coordinates, config FROM bases")
         return {n: (json.loads(coordinates), flat_of(own)) for n, coordinates, own in rows}
 

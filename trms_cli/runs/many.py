@@ -17,12 +17,12 @@ from trms_cli.core.data_file import not_as_written
 from trms_cli.core.errors import RecordingError
 from trms_cli.runs.entry import LOG_NAME
 from trms_cli.runs.index import scope_sql
-from trms_cli.runs.query import Tell, looked_through
+from trms_cli.runs.query import Tell, current_index
 from trms_cli.scoring.comparison.runs import (
     FIGURE_COLUMNS,
     ComparisonRun,
+    FlatConfiguration,
     RunCollection,
-    Settings,
     State,
     gather,
     of_log,
@@ -62,7 +62,7 @@ def _of_index(root: Path, tell: Tell) -> Folder:
     runs: list[tuple[Any, ComparisonRun]] = []
     left_out: list[tuple[str, str]] = []
     to_read: dict[str, None] = {}
-    with looked_through([place], tell) as (index, walk):
+    with current_index([place], tell) as (index, walk):
         bases, own = index.bases(), index.units(scope_sql([place]))
         units = {"channels": own.get("rmse", "rad"), "inputs": own.get("total_variation", "V")}
         decode = msgspec.json.Decoder(list[Any]).decode
@@ -81,7 +81,7 @@ def _of_index(root: Path, tell: Tell) -> Folder:
                 non_finite=non_finite,
                 figures=figures,
                 units=units,
-                settings=Settings(base, changes),
+                settings=FlatConfiguration(base, changes),
             )
             runs.append((_order(log), run))
         to_read |= dict.fromkeys(index.others([place]))

@@ -22,7 +22,7 @@ from trms_cli.runs.columns import IndexColumn, Sql, column_sql, expanded, neares
 from trms_cli.runs.entry import LOG_NAME, STATUS_NAME, read_entry, read_status
 from trms_cli.runs.filter import translate_filter
 from trms_cli.runs.index import FileStamp, LogReading, RunIndex, is_damage, remove, scope_sql
-from trms_cli.runs.place import index_file, new_runs
+from trms_cli.runs.place import ENVIRONMENT, index_file, new_runs
 from trms_cli.runs.run_folder import SCORE_NAME
 
 _BATCH = 200  # logs between two writes
@@ -73,7 +73,7 @@ class _Walk:
     scores: list[str] = field(default_factory=list)
     known: dict[str, int] = field(default_factory=dict)  # folders as the index has them, ns
     members: dict[str, list[str]] = field(default_factory=dict)  # and the logs in them
-    looked: dict[str, int] = field(default_factory=dict)  # folders that may be passed next time
+    folders: dict[str, int] = field(default_factory=dict)  # folders that may be passed next time
     odd: list[tuple[str, str]] = field(default_factory=list)
     remaining: int | None = None  # entries that may still be looked at
     remarks: list[str] = field(default_factory=list)
@@ -106,7 +106,7 @@ def _find(question: Query, tell: Tell) -> QueryResult:
     if bounded:
         roots = [_folder(os.curdir)]
     remaining = MOST_ENTRIES if bounded else None
-    with looked_through(roots, tell, remaining, rebuild=question.rebuild) as (index, walk):
+    with current_index(roots, tell, remaining, rebuild=question.rebuild) as (index, walk):
         scope = scope_sql(roots)
         more = index.more_names()
         condition = translate_filter(question.filter, more)
@@ -140,7 +140,7 @@ def _find(question: Query, tell: Tell) -> QueryResult:
 
 
 @contextlib.contextmanager
-def looked_through(
+def current_index(
     roots: Sequence[str] | None,
     tell: Tell | None = None,
     remaining: int | None = None,
@@ -156,6 +156,19 @@ def looked_through(
             index.doubt(roots)
         refresh(index, roots, walk, tell)
         yield index, walk
+
+
+def take_in(logs: Sequence[str]) -> None:
+    """Read logs that have just been written into the index of this host.
+
+    Nothing happens where runs do not tell of themselves (``TRMS_RUNS=off``), or the index cannot be
+    written: whoever lists the runs reads the logs then.
+    """
+    if os.environ.get(ENVIRONMENT) == "off":
+        return
+    with contextlib.suppress(OSError, sqlite3.Error, RecordingError), _open_index([]) as index:
+        stamps = {log: stamp for log in logs if (stamp := _stamp_of(log)) is not None}
+        index.put([_look(log, stamp) for log, stamp in stamps.items()])
 
 
 def refresh(
@@ -174,7 +187,7 @@ def refresh(
             walk.members.setdefault(folder, []).append(log)
     for root in roots or ():
         _look_through(root, walk)
-    index.note_folders(walk.looked)
+    index.note_folders(walk.folders)
     stamps, absent_logs = walk.logs, []
     for log in earlier_stamps.keys() - stamps.keys():  # in folders that were passed over, or gone
         stamp = _stamp_of(log)
@@ -271,7 +284,7 @@ def _look_into(folder: str, waiting: list[str], walk: _Walk, root: str) -> bool:
     if not logs and SCORE_NAME in names:
         walk.scores.append(folder)
     if is_leaf and logs and now - changed > _SETTLED:
-        walk.looked[folder] = changed
+        walk.folders[folder] = changed
     return True
 
 

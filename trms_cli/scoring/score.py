@@ -25,6 +25,7 @@ import numpy as np
 
 from trms_cli.core.data_file import not_as_written
 from trms_cli.core.findings import json_data
+from trms_cli.recordings.topics import ESTIMATE_TOPIC, THINNED_KEY
 from trms_cli.scoring import figures, metrics
 from trms_cli.scoring.metrics import Array, Columns, floats, hold_at, unit
 from trms_cli.scoring.metrics import Series as Series
@@ -40,15 +41,24 @@ Limits = Mapping[str, tuple[float, float]]
 
 
 def score_log(log: LoggedRun) -> dict[str, Any]:
-    """Score a log, complete or not, by the limits that are written in it."""
+    """Score a log, complete or not, by the limits that are written in it.
+
+    Where only some of the estimates are in the log, what they say is taken from the score that was
+    made of all of them as the run ended; it is missing where there is none.
+    """
     with not_as_written(str(log.path)):
-        return score_tables(
-            log.tables,
+        is_thinned = ESTIMATE_TOPIC in json.loads(log.run.get(THINNED_KEY, "{}"))
+        tables = {k: v for k, v in log.tables.items() if not (is_thinned and k == ESTIMATE_TOPIC)}
+        score = score_tables(
+            tables,
             limits=limits_of(log),
             duration_s=log.duration_s,
             log=str(log.path),
             complete=log.complete,
         )
+        if is_thinned and log.score.get("estimate"):
+            score["estimate"] = log.score["estimate"]
+        return score
 
 
 def limits_of(log: LoggedRun) -> dict[str, tuple[float, float]]:

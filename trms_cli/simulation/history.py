@@ -1,7 +1,7 @@
 """What happened in a run, in memory and in the log: the same rows go to both."""
 
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -30,10 +30,17 @@ class History:
     """Keeps the rows of a run by topic, and passes them on.
 
     ``units``: unit of each field of each topic, the fields in the order of the rows. ``sink``: the
-    log; None keeps the rows in memory only.
+    log; None keeps the rows in memory only. ``every``: topics of which each so many-th row, from
+    the first on, is passed on; all are kept.
     """
 
-    def __init__(self, units: dict[str, dict[str, str]], sink: Sink | None) -> None:
+    def __init__(
+        self,
+        units: dict[str, dict[str, str]],
+        sink: Sink | None,
+        every: Mapping[str, int] | None = None,
+    ) -> None:
+        self._every = every or {}
         self.units = units
         self.fields = {topic: tuple(fields) for topic, fields in units.items()}
         self._sink = sink
@@ -53,6 +60,10 @@ class History:
             write: Writer = _nothing
         else:
             write = self._sink.writer(topic)
+
+        every = self._every.get(topic, 1)
+        if every != 1 and self._sink is not None:
+            write = _thinned(write, every) if every else _nothing
 
         def both(time_ns: int, values: Sequence[Any]) -> None:
             keep(values)  # before its time: Ctrl-C between the two leaves no time without values
@@ -88,6 +99,19 @@ class History:
         """Columns of a topic by field name, each (n,); text and arrays as objects."""
         rows = self._rows.get(topic)
         return dict(zip(self.fields[topic], rows.columns(), strict=True)) if rows else {}
+
+
+def _thinned(write: Writer, every: int) -> Writer:
+    """Pass on each so many-th row, from the first on."""
+    count = -1
+
+    def thinned(time_ns: int, values: Sequence[Any]) -> None:
+        nonlocal count
+        count += 1
+        if not count % every:
+            write(time_ns, values)
+
+    return thinned
 
 
 class _Numbers:

@@ -30,7 +30,7 @@ _MOST_NAMED = 5
 #: Of p values that are adjusted for their number.
 _LEVEL = 0.05
 #: What runs are given because they are many.
-_SET_BY_SWEEPS = ("picture", "sim.scene_every")
+_SET_BY_SWEEPS = ("picture", "sim.scene_every", "sim.estimate_every")
 _STATES = ("failed", "lost", "interrupted", "running", "left")
 
 

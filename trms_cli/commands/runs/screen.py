@@ -122,7 +122,7 @@ def _visible_columns(result: QueryResult, mentioned_columns: Sequence[str]) -> l
 
 
 #: What nobody typed: a sweep gives it to its runs.
-_SET_BY_SWEEPS = ("picture", "sim.scene_every")
+_SET_BY_SWEEPS = ("picture", "sim.scene_every", "sim.estimate_every")
 
 
 def _settings(result: QueryResult, names: Sequence[str]) -> list[str]:

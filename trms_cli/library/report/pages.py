@@ -117,7 +117,11 @@ def ranking_of(runs: Sequence[ComparisonRun]) -> Ranking | None:
     return ranking if ranking.best else None
 
 
-def runs_of_rows(result: QueryResult, draw_keys: Sequence[str] = ()) -> list[ComparisonRun]:
+def runs_of_rows(
+    result: QueryResult,
+    draw_keys: Sequence[str] = (),
+    typed: Sequence[Mapping[str, Any]] | None = None,
+) -> list[ComparisonRun]:
     """Rows of the index as a ranking takes them, without reading a log again.
 
     All that was drawn for a run, by `draw_keys`, is one coordinate, its draw: a condition, and no
@@ -125,7 +129,7 @@ def runs_of_rows(result: QueryResult, draw_keys: Sequence[str] = ()) -> list[Com
     """
     from trms_cli.scoring.comparison.runs import FIGURE_COLUMNS, ComparisonRun
 
-    typed = sweeps.typed_values(result.runs)
+    typed = sweeps.typed_values(result.runs) if typed is None else typed
     keys = [key for key in sweeps.keys_of(result.runs, typed) if key not in draw_keys]
     draws: dict[tuple[str, ...], str] = {}
 
@@ -283,10 +287,11 @@ def _of_sweep(
 ) -> Report:
     from trms_cli.reporting.report_sweep import findings_of_sweep
 
-    sweep = sweeps.read_sweep(paths, result, page_folder)
+    typed = sweeps.typed_values(result.runs)
+    sweep = sweeps.read_sweep(paths, result, page_folder, typed)
     # A search tries each set of weights once or a few times: its own objectives say which is best.
     draw_keys = drawn_keys(sweeps.sweep_document(paths[0])) if len(paths) == 1 else []
-    ranking = None if sweep.objectives else ranking_of(runs_of_rows(result, draw_keys))
+    ranking = None if sweep.objectives else ranking_of(runs_of_rows(result, draw_keys, typed))
     findings = findings_of_sweep(sweep, ranking=ranking, title=title)
     runs = tuple(str(row["path"]) for row in result.runs)
     return Report(findings, "sweep", runs, folder, tuple(result.unreadable))

@@ -98,10 +98,16 @@ def rows_of(folders: Sequence[Path], *, quiet: bool = False) -> QueryResult:
     return replace(result, runs=_completed(result.runs))
 
 
-def read_sweep(folders: Sequence[Path], result: QueryResult, page_folder: Path) -> SweepReport:
+def read_sweep(
+    folders: Sequence[Path],
+    result: QueryResult,
+    page_folder: Path,
+    typed: Sequence[Mapping[str, Any]] | None = None,
+) -> SweepReport:
     """Many runs in folders, by their rows in `result`, as a report sees them.
 
-    `page_folder`: where the page will be, for links to reports of single runs.
+    `typed`: their :func:`typed_values`, where they are known. `page_folder`: where the page will
+    be, for links to reports of single runs.
     """
     from trms_cli.reporting.sweep_report import SweepReport
     from trms_cli.runs.columns import ALIASES
@@ -110,7 +116,7 @@ def read_sweep(folders: Sequence[Path], result: QueryResult, page_folder: Path) 
     plan = sweep_document(folders[0]) if len(folders) == 1 else {}
     words = summary.search_of(plan)
     objectives = summary.objectives_of(words)
-    typed = typed_values(rows)
+    typed = typed_values(rows) if typed is None else typed
     keys = keys_of(rows, typed, summary.drawn_keys(plan))
     draw_keys = [key for key in summary.drawn_keys(plan) if key in keys]
     others = [key for key in keys if key not in draw_keys]
@@ -335,11 +341,11 @@ def typed_values(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
     Where one name stands for several model files, their paths too, as a comparison has them.
     """
-    from trms_cli.scoring.comparison.runs import Settings, differing_settings
+    from trms_cli.scoring.comparison.runs import FlatConfiguration, differing_settings
 
     typed = [_typed_of(row) for row in rows]
     files = [_model_file(row, values) for row, values in zip(rows, typed, strict=True)]
-    settings = differing_settings(rows, [Settings(own) for own in files])
+    settings = differing_settings(rows, [FlatConfiguration(own) for own in files])
     return [{**values, **own} for values, own in zip(typed, settings, strict=True)]
 
 

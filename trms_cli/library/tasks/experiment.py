@@ -23,6 +23,7 @@ from trms_cli.models.parameters import ParameterSet
 from trms_cli.plants.landing import landing_of
 from trms_cli.plants.plant import PlantRun
 from trms_cli.recordings.topics import (
+    ESTIMATE_TOPIC,
     TIMING_TOPIC,
     Field,
     Topic,
@@ -176,6 +177,15 @@ def limits_of(rig: PlantRun | RecordedRun, model: Model) -> dict[str, tuple[floa
 def units_of(topics: Iterable[Topic]) -> dict[str, dict[str, str]]:
     """Units of the fields of topics, by the names of both."""
     return {topic.name: {field.name: field.unit for field in topic.fields} for topic in topics}
+
+
+def logged_every(config: Mapping[str, Any]) -> dict[str, int]:
+    """Topics of which not each sample is logged, and each how manyth is; 0: none.
+
+    Raises ConfigurationError when ``sim.estimate_every`` is no whole number.
+    """
+    every = whole_number(config["sim"].get("estimate_every", 1), "sim.estimate_every")
+    return {} if every == 1 else {ESTIMATE_TOPIC: every}
 
 
 def tables_of(history: History) -> dict[str, Series]:

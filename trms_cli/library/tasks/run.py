@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import re
@@ -19,6 +20,7 @@ from trms_cli.core.findings import Findings, NextCommand, Section
 from trms_cli.core.invocation import note, program
 from trms_cli.core.wording import headline
 from trms_cli.library.tasks.task import Done, Listener, as_job
+from trms_cli.recordings.topics import THINNED_KEY
 from trms_cli.runs.run_folder import LOG_NAME, PICTURE_NAME, SCORE_NAME, write_document
 from trms_cli.scoring.findings import in_short, short_tables, warnings_of
 
@@ -61,6 +63,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
             note(f"note   {what}")
     revision = GitRevision.ask()
     has_picture = bool(composition.config["picture"])
+    every = assembly.logged_every(composition.config)
     logs: list[Any] = []
 
     def make_history(plant: Any) -> History:
@@ -75,12 +78,13 @@ def perform(composition: Composition, listener: Listener) -> Done:
             [*topics, *scene.topics()],
             assembly.run_metadata(composition, experiment.model, plant, revision.answer())
             | {"loop": "closed" if _follows(experiment) else "open"}
-            | _process_of(experiment),
+            | _process_of(experiment)
+            | ({THINNED_KEY: json.dumps(every)} if every else {}),
             assembly.attachments(composition, experiment.model, getattr(plant, "parameters", None)),
         )
         logs.append(log)
         note_run(log.path)
-        return History(assembly.units_of(topics), scene.sink(log))
+        return History(assembly.units_of(topics), scene.sink(log), every)
 
     # What is not finite is looked for and told in words: NumPy's warnings would only repeat it.
     with (

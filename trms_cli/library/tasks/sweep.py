@@ -27,12 +27,13 @@ from trms_cli.composition.sweep_space import Settings, settings_of
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.invocation import command_line, note
 from trms_cli.core.plugins import TARGET
+from trms_cli.runs.entry import LOG_NAME
 from trms_cli.sweeps.record import SweepPlan
 from trms_cli.sweeps.space import Space
 
 if TYPE_CHECKING:
-    from trms_cli.sweeps.driver import SweepOutcome, Tell
-    from trms_cli.sweeps.space import SweepPoint
+    from trms_cli.sweeps.driver import SweepOutcome, SweepProgress, Tell
+    from trms_cli.sweeps.space import RunResult, SweepPoint
 
 #: Values of one key that are looked at, from the first on; the last is, too.
 MOST_VALUES = 30
@@ -181,17 +182,20 @@ def _drive(
         plan.git,
         tuple(sorted(allowed_for_now())),
     )
+    indexed = _Indexed(record.folder, tell)
     driver = Driver(
-        record, proposals, work, retries=plan.retries, tell=tell, retry_failed=retry_failed
+        record, proposals, work, retries=plan.retries, tell=indexed, retry_failed=retry_failed
     )
     record.note(total=proposals.total)
     driver.take_stock(earlier_points)
+    indexed.is_active = plan.primary == "run"
     state = "interrupted"
     results = driver.progress.results
     try:
         driver.drive(launcher)
         state = "done"
     finally:
+        indexed.take_in()
         counts = counts_of(results)
         words: dict[str, Any] = {"state": state, "end": now(), "counts": counts}
         if state == "done":
@@ -206,6 +210,34 @@ def _drive(
     return SweepOutcome(
         record.folder, tuple(record.points()), dict(results), counts, words.get("summary", {})
     )
+
+
+#: Logs that are read into the index at once: some tens of milliseconds.
+_INDEXED_AT_ONCE = 50
+
+
+class _Indexed:
+    """Reads logs into this host's index as runs end, so that who lists the sweep need not wait."""
+
+    def __init__(self, folder: Path, tell: Tell) -> None:
+        self.is_active = False
+        self._folder, self._tell = folder, tell
+        self._logs: list[str] = []
+
+    def __call__(self, progress: SweepProgress, result: RunResult | None) -> None:
+        if self.is_active and result is not None and result.state == "done":
+            self._logs.append(os.path.realpath(self._folder / str(result.number) / LOG_NAME))
+            if len(self._logs) >= _INDEXED_AT_ONCE:
+                self.take_in()
+        self._tell(progress, result)
+
+    def take_in(self) -> None:
+        """Read those that have been written since."""
+        from trms_cli.runs.query import take_in
+
+        if self._logs:
+            logs, self._logs = self._logs, []
+            take_in(logs)
 
 
 def resumed_settings(plan: SweepPlan, changed: Sequence[str]) -> Settings:

@@ -24,7 +24,12 @@ import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.scoring.comparison.runs import ComparisonRun, Settings, State, differing_coordinates
+from trms_cli.scoring.comparison.runs import (
+    ComparisonRun,
+    FlatConfiguration,
+    State,
+    differing_coordinates,
+)
 
 #: Coordinates of who ran; the others are of what was run in.
 OF_ENTRANTS = ("controller", "observer", "model", "supervisor", "qp_solver")
@@ -71,7 +76,9 @@ class ComparisonGroup:
                 if is_own or run.settings is None:
                     equations = own.below(_EQUATIONS)
                 else:  # of all runs with this base, which lives as long as they do
-                    equations = shared.get(id(own.base)) or Settings(own.base).below(_EQUATIONS)
+                    equations = shared.get(id(own.base)) or FlatConfiguration(own.base).below(
+                        _EQUATIONS
+                    )
                     shared[id(own.base)] = equations
                 if equations and equations != ((_EQUATIONS, "none"),) and not own.is_partial:
                     rigs.setdefault(condition, set()).add(equations)

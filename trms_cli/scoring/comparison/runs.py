@@ -58,7 +58,7 @@ FIGURE_COLUMNS = tuple(figure.column_name for figure in _FIGURES)
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class FlatConfiguration:
     """A configuration by dotted keys, as what it has in place of that of another run.
 
     Thousands of runs of a sweep share one ``base`` and differ in a few keys.
@@ -108,15 +108,15 @@ class ComparisonRun:
     #: likewise: units of ``channels`` and ``inputs``; empty: the score has them
     units: Mapping[str, str] = field(default_factory=dict, repr=False)
     #: likewise, in place of its configuration
-    settings: Settings | None = field(default=None, repr=False)
+    settings: FlatConfiguration | None = field(default=None, repr=False)
 
-    def flat_settings(self) -> Settings:
+    def flat_settings(self) -> FlatConfiguration:
         """All that is known of its configuration, by dotted keys."""
         if self.settings is not None:
             return self.settings
         if self.config:
-            return Settings(flat(self.config))
-        return Settings(_as_flat(self.typed), is_partial=True)
+            return FlatConfiguration(flat(self.config))
+        return FlatConfiguration(_as_flat(self.typed), is_partial=True)
 
     def with_coordinates(self, coordinates: Mapping[str, str]) -> ComparisonRun:
         """The same run, told apart by others; a hundred thousand are made so."""
@@ -177,7 +177,9 @@ def _number(value: Any) -> float:
 
 
 #: Where a run's files go, and what is drawn and logged: no part of what was run.
-NO_COORDINATES = frozenset({"out", "picture", "sim.prediction_every", "sim.scene_every"})
+NO_COORDINATES = frozenset(
+    {"out", "picture", "sim.prediction_every", "sim.scene_every", "sim.estimate_every"}
+)
 #: Resolved copies of what other groups say.
 _COPIES = ("plant.effects", "plant.model", "plant.faults")
 _GROUPS = ("model", "plant", "effect", "fault", "observer", "controller", "ref", "supervisor")
@@ -309,7 +311,7 @@ def _with_settings(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
 
 
 def differing_settings(
-    choices: Sequence[Mapping[str, Any]], configurations: Sequence[Settings]
+    choices: Sequence[Mapping[str, Any]], configurations: Sequence[FlatConfiguration]
 ) -> list[dict[str, str]]:
     """Of each run the dotted keys in which it differs from runs of the same options.
 
@@ -348,7 +350,7 @@ def _heads(keys: Iterable[str]) -> dict[str, None]:
     return dict.fromkeys(key.partition(".")[0] for key in keys if "." in key)
 
 
-def _keys_that_may_differ(stem: str, configurations: Sequence[Settings]) -> list[str]:
+def _keys_that_may_differ(stem: str, configurations: Sequence[FlatConfiguration]) -> list[str]:
     """Keys with that beginning, in the order of the configurations, but for what all share."""
     bases = {id(own.base): own.base for own in configurations}
     keys = dict.fromkeys(key for base in bases.values() for key in base if key.startswith(stem))
