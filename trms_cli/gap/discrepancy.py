@@ -32,7 +32,7 @@ from trms_cli.identification.greybox.windows import Windows
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.model import Model, names
 from trms_cli.models.scales import port_scale
-from trms_cli.simulation.rollout import LONGEST_STEP
+from trms_cli.simulation.rollout import longest_step
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ class TrajectoryLinearisation:
         step_length = windows.sample_time
         substeps = 1
         if model.sample_time is None:
-            substeps = int(np.ceil(step_length / LONGEST_STEP - 1e-9))
+            substeps = int(np.ceil(step_length / longest_step(model) - 1e-9))
         discrete = discretise(model, step_length, substeps, sensors=True)
         x, u, p, w = discrete.symbols()
         after, y = discrete.step(x, u, p, w), discrete.measurement(x, u, p)

@@ -33,11 +33,20 @@ from trms_cli.core.errors import ModelError
 from trms_cli.core.process_cache import call_memoised
 from trms_cli.models.discretisation import DiscreteModel, Method, discretise
 from trms_cli.models.model import Model, Signal
+from trms_cli.models.scales import scales_of
 
-#: s. Longest integration step unless another is asked for.
-LONGEST_STEP = 0.02
+#: s. Longest integration step unless another is asked for, and its share of the time of a model
+#: of one's own: a lag acts by its mean over a step, which fine sensors tell from the lag itself.
+LONGEST_STEP, _SHARE_OF_TIME = 0.02, 1 / 40
 #: Fewer samples than this are not worth a second thread.
 _WORTH_A_THREAD = 2000
+
+
+def longest_step(model: Model) -> float:
+    """s, of the integration of a model."""
+    if model.bench_sizes or model.sample_time is not None:
+        return LONGEST_STEP
+    return min(LONGEST_STEP, _SHARE_OF_TIME * scales_of(model.without_effects()).time)
 
 
 class SimulatedWindows(NamedTuple):
@@ -65,7 +74,7 @@ class Rollout:
 
     ``sample_time``: s, of the commands and the outputs. ``free``: parameters in which
     :meth:`sensitivities` differentiates. ``substeps``: integration steps a sample; None: as many as
-    keep them to :data:`LONGEST_STEP`, and one for a model that has only a step. ``jobs``: threads
+    keep them to :func:`longest_step`, and one for a model that has only a step. ``jobs``: threads
     among which windows are divided. ``states``: the model's, followed by its memory.
     """
 
@@ -88,7 +97,7 @@ class Rollout:
                 )
         if substeps is None:
             stepped = model.sample_time is not None
-            substeps = 1 if stepped else int(np.ceil(sample_time / LONGEST_STEP - 1e-9))
+            substeps = 1 if stepped else int(np.ceil(sample_time / longest_step(model) - 1e-9))
         self.model, self.sample_time, self.free, self.jobs = model, sample_time, tuple(free), jobs
         # The slopes of one integration step are short code; those of several grow with each.
         # Only what remembers past commands or readings has to see the sample as a whole.
