@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from trms_cli.core.data_file import read_bytes
 from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.core.uncollected import uncollected
 from trms_cli.runs.entry import STATUS_NAME
 from trms_cli.sweeps import record
 
@@ -33,6 +34,7 @@ class _Failure(NamedTuple):
     bad_input: bool  #: to try again cannot help
 
 
+@uncollected()
 def outcome_of(folder: Path) -> dict[str, Any]:
     """Counts, failures by their reason, the rate and the best.
 

@@ -27,6 +27,7 @@ from trms_cli.composition.sweep_space import Settings, settings_of
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.invocation import command_line, note
 from trms_cli.core.plugins import TARGET
+from trms_cli.core.uncollected import uncollected
 from trms_cli.runs.entry import LOG_NAME
 from trms_cli.sweeps.record import SweepPlan
 from trms_cli.sweeps.space import Space
@@ -187,7 +188,8 @@ def _drive(
         record, proposals, work, retries=plan.retries, tell=indexed, retry_failed=retry_failed
     )
     record.note(total=proposals.total)
-    driver.take_stock(earlier_points)
+    with uncollected():
+        driver.take_stock(earlier_points)
     indexed.is_active = plan.primary == "run"
     state = "interrupted"
     results = driver.progress.results
