@@ -67,8 +67,8 @@ def run(options: Options) -> list[Table]:
                     table.add_limited("time", taken, LIMIT_S, **cells)
                     table.rows[-1]["met"] = taken <= LIMIT_S and memory <= LIMIT_MIB
     table.notes.append(
-        f"Limits: {LIMIT_S:g} s an answer by the clock, and {LIMIT_MIB:g} MiB of memory, which is at "
-        "least that of this process, from which the others are begun."
+        f"Limits: {LIMIT_S:g} s an answer by the clock, and {LIMIT_MIB:g} MiB of memory, "
+        "which is at least that of this process, from which the others are begun."
     )
     return [table]
 
