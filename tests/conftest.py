@@ -4,6 +4,12 @@ import signal
 
 from hypothesis import settings
 
+from trms_cli.core.threads import take_one_thread
+
+# As the program does, before NumPy is loaded: else sums, and what follows from their last bits,
+# depend on the machine's cores.
+take_one_thread()
+
 # An example of a property may take long on a busy machine, which says nothing.
 settings.register_profile("no deadline", deadline=None)
 settings.load_profile("no deadline")
