@@ -36,7 +36,7 @@ class Environment:
         """What a program of the environment prints; `code` is what it must end in."""
         program = self.python.with_name(words[0])
         outside = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
-        if words[0] == "trms":  # what is allowed in one environment is not in another; pip has its own
+        if words[0] == "trms":  # what one environment allows, another does not; pip has its own
             outside["XDG_CONFIG_HOME"] = str(self.work / ".settings")
         done = subprocess.run(
             [program, *words[1:]], capture_output=True, text=True, cwd=self.work, env=outside
