@@ -70,7 +70,7 @@ class HorizonSettings:
     sample_time: Positive = 0.1  #: Control period, s
     delay: Delay = "none"
     #: N, control periods; as it stands here, fewer of an unstable model of a user's
-    prediction_horizon: Annotated[int, Meta(ge=2)] = _PERIODS
+    prediction_horizon: Annotated[int, Meta(ge=2, le=1000)] = _PERIODS
     #: Lengths of the blocks over which an input is constant, in control periods (the control
     #: horizon). The last block lasts to the end of the prediction horizon; what is beyond it is
     #: left out.

@@ -19,7 +19,7 @@ from trms_cli.models.parameters import Parameter
 class ActuatorLag(Effect):
     """Lag of one command."""
 
-    rotor: str  #: Name of a rotor of the model
+    rotor: str  #: Name of a rotor of the model, or of an input
     time_constant: NotNegative | None = None  #: τ, s
 
     def parameters(self) -> tuple[Parameter, ...]:

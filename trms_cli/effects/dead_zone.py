@@ -18,7 +18,7 @@ from trms_cli.models.parameters import Parameter
 class DeadZone(Effect):
     """Dead zone of one command."""
 
-    rotor: str  #: Name of a rotor of the model
+    rotor: str  #: Name of a rotor of the model, or of an input
     width: NotNegative | None = None  #: d, V: to either side of zero
 
     def parameters(self) -> tuple[Parameter, ...]:

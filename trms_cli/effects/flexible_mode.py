@@ -29,7 +29,7 @@ _SLOWEST = 0.1
 class FlexibleMode(SensorEffect):
     """A flexible mode in one measured angle."""
 
-    axis: str  #: Name of an axis of the model
+    axis: str  #: Name of an axis of the model, or of an output
     #: c: how much of the deflection is seen
     share: Annotated[float, Meta(ge=0, le=10)] | None = None
     frequency: Annotated[float, Meta(ge=_SLOWEST)] | None = None  #: ω₀/2π, Hz

@@ -20,7 +20,7 @@ from trms_cli.models.parameters import Parameter
 class InputDelay(Effect):
     """Transport delay of one command."""
 
-    rotor: str  #: Name of a rotor of the model
+    rotor: str  #: Name of a rotor of the model, or of an input
     delay: NotNegative | None = None  #: s
     #: Bound of the delay, s; the past commands that are kept reach back this far
     longest: Positive = 0.2

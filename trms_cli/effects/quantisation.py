@@ -22,7 +22,7 @@ _FINEST = 2.0**-100
 class Quantisation(SensorEffect):
     """Resolution of one angle."""
 
-    axis: str  #: Name of an axis of the model
+    axis: str  #: Name of an axis of the model, or of an output
     quantum: NotNegative | None = None  #: q, rad
 
     def parameters(self) -> tuple[Parameter, ...]:

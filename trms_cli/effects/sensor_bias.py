@@ -16,7 +16,7 @@ from trms_cli.models.parameters import Parameter
 class SensorBias(SensorEffect):
     """Constant error of one angle."""
 
-    axis: str  #: Name of an axis of the model
+    axis: str  #: Name of an axis of the model, or of an output
     bias: Annotated[float, Meta(ge=-1, le=1)] | None = None  #: b, rad
 
     def parameters(self) -> tuple[Parameter, ...]:

@@ -24,7 +24,7 @@ from trms_cli.models.parameters import Parameter
 class SensorDelay(SensorEffect):
     """Transport delay of one measured angle."""
 
-    axis: str  #: Name of an axis of the model
+    axis: str  #: Name of an axis of the model, or of an output
     delay: NotNegative | None = None  #: d, s
     #: Bound of the delay, s; the past angles that are kept reach back this far
     longest: Positive = 0.1

@@ -26,7 +26,7 @@ from trms_cli.models.parameters import Parameter
 class SupplyDerating(Effect):
     """Thermal derating of one drive; it begins cold."""
 
-    rotor: str  #: Name of a rotor of the model
+    rotor: str  #: Name of a rotor of the model, or of an input
     #: Share of the gain that is lost at full load for ever
     depth: Annotated[float, Meta(ge=0, le=1)]
     time_constant: NotNegative  #: τ, s
