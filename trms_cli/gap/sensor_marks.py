@@ -19,6 +19,8 @@ from trms_cli.identification.dataset import Dataset
 
 #: Belief that a sensor whose readings show an effect has it.
 _MARKED = 0.95
+#: Steps finer than this share of a reading are rounded digits.
+_DIGITS = 1e-9
 #: Steps of the sensor a sample, from which on it moves for sure; samples before and after over
 #: which that is judged; readings lost, and their share, that are none by chance.
 _MOVING, _AROUND, _FEWEST, _LEAST_SHARE = 4.0, 3, 10, 0.01
@@ -32,9 +34,13 @@ def repeated_readings(values: FloatArray) -> tuple[BoolArray, float]:
     not finite where nothing was measured. None, and a share of zero, where there are few.
     """
     none: BoolArray = np.zeros(len(values), dtype=bool)
-    quantum = quantum_of(values, "")
     step = np.diff(values, prepend=np.nan)
-    least = _MOVING * max(quantum, 1e-12 * float(np.nanmax(np.abs(values), initial=0.0))) * _AROUND
+    steps = np.abs(step[np.isfinite(step) & (step != 0)])
+    if not len(steps):
+        return none, 0.0
+    # the smallest of all, and no rounding of a file's digits: a coarser one only sees less
+    quantum = max(float(steps.min()), _DIGITS * float(np.nanmax(np.abs(values))))
+    least = _MOVING * quantum * _AROUND
     far = np.abs(values[_AROUND:] - values[:-_AROUND])
     before, after = none.copy(), none.copy()
     before[_AROUND + 1 :] = far[:-1] > least  # up to the reading that is repeated
