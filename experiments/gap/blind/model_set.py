@@ -101,20 +101,50 @@ class RigSource:
     ) -> tuple[list[Case], list[Recording]]:
         """Drive all rigs, those that come near a stop again with less.
 
-        Raises ConfigurationError for one that reaches a stop or falls however little it is driven.
+        One that falls however little it is driven makes place for another: its kind's effects, of
+        a rig that holds, with nuisances and an excitation of its own.
+
+        Raises ConfigurationError if none of a kind holds.
         """
         driven, recordings = self.attempt(cases, timing, seed, fresh=fresh)
-        lost = [c.effects for c, recording in zip(driven, recordings, strict=True) if not recording]
-        if lost:
-            names_lost = ", ".join("+".join(effects) or "no effect" for effects in lost)
-            raise ConfigurationError(
-                f"{len(lost)} of {len(cases)} rigs reach a stop, or fall, however little they are "
-                f"driven ({names_lost})",
-                where="model",
-                remedy="give the model an equilibrium at rest() that a linear law holds; or "
-                "another seed",
-            )
-        return driven, [recording for recording in recordings if recording]
+        random = np.random.default_rng([seed, 77])
+        for _ in range(0 if fresh else _TRIES):
+            lost = [i for i, recording in enumerate(recordings) if recording is None]
+            if not lost:
+                break
+            others = [self._instead(driven, recordings, driven[i].kind, random) for i in lost]
+            again, of_others = self.attempt(others, timing, seed, fresh=fresh)
+            for i, case, recording in zip(lost, again, of_others, strict=True):
+                driven[i], recordings[i] = case, recording
+        held = [recording for recording in recordings if recording]
+        if len(held) < len(cases):
+            raise self._falls(len(cases) - len(held), len(cases))
+        return driven, held
+
+    def _instead(
+        self,
+        cases: Sequence[Case],
+        recordings: Sequence[Recording | None],
+        kind: str,
+        random: Random,
+    ) -> Case:
+        holds = [c for c, r in zip(cases, recordings, strict=True) if r and c.kind == kind]
+        if not holds:
+            alike = [c for c in cases if c.kind == kind]
+            raise self._falls(len(alike), len(cases))
+        return replace(
+            holds[int(random.integers(len(holds)))],
+            excitation=int(random.integers(2**31)),
+            nuisances=draw_nuisances(self, random),
+        )
+
+    def _falls(self, number: int, cases: int) -> ConfigurationError:
+        return ConfigurationError(
+            f"{number} of {cases} rigs reach a stop, or fall, however little they are driven",
+            where="model",
+            remedy="give the model an equilibrium at rest() that a linear law holds; or "
+            "another seed",
+        )
 
     def attempt(
         self, cases: Sequence[Case], timing: Timing, seed: int, *, fresh: bool = False
