@@ -1,6 +1,7 @@
 """Rigs drawn from a model of one's own: they move as the model does, their effects do as said."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
