@@ -24,6 +24,7 @@ _DIGITS = 1e-9
 #: Steps of the sensor a sample, from which on it moves for sure; samples before and after over
 #: which that is judged; readings lost, and their share, that are none by chance.
 _MOVING, _AROUND, _FEWEST, _LEAST_SHARE = 4.0, 3, 10, 0.01
+_RARE = 1e-6  #: Probability below which so many losses one after the other are none
 
 
 def repeated_readings(values: FloatArray) -> tuple[BoolArray, float]:
@@ -51,13 +52,16 @@ def repeated_readings(values: FloatArray) -> tuple[BoolArray, float]:
     lost, count = repeats - near, int(moving.sum())
     if lost < max(_FEWEST, 3 * np.sqrt(repeats + near), _LEAST_SHARE * count):
         return none, 0.0
-    # wherever the next other reading is some steps away: elsewhere a loss does not matter
+    # wherever it has moved on since, or moved before and rests no longer than chance has it
     ends = np.flatnonzero(np.append(step[1:] != 0, True))
     end = ends[np.searchsorted(ends, np.arange(len(values)))]
     begin = np.maximum.accumulate(np.where(step != 0, np.arange(len(values)), 0))
     following = np.append(values, np.nan)[end + 1]
-    jump = np.abs(following - values) > _MOVING * quantum * (end - begin)
-    return (step == 0) & jump, lost / count
+    moves_on = np.abs(following - values) > _MOVING * quantum * (end - begin)
+    moved = np.append(before, False)[begin + 1]
+    share = lost / count
+    is_chance = (end - begin) * np.log(min(share, 0.99)) > np.log(_RARE)
+    return (step == 0) & (moves_on | moved & is_chance), share
 
 
 def without_lost_samples(
