@@ -7,8 +7,8 @@ part of them alone. Its sizes are estimated anew without the part that the free 
 from __future__ import annotations
 
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.effects.constant_torque import ConstantTorque
 from trms_cli.effects.extended_model import extend_model
+from trms_cli.effects.forces import ConstantTorque
 from trms_cli.gap.change import StateComparison
 from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, judge

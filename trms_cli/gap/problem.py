@@ -18,7 +18,7 @@ from trms_cli.core.wording import listing, number
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.places import places_of
-from trms_cli.effects.quantisation import Quantisation
+from trms_cli.effects.sensors import Quantisation
 from trms_cli.gap.diagnosis import DiagnosedRecording
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter
