@@ -15,8 +15,8 @@ import numpy as np
 from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, recorded_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
+from trms_cli.core.whole_file import whole_file
 from trms_cli.recordings.channels import CHANNELS, Channel, Vocabulary, to_si
-from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.recording import Recording, require_channels, require_values, unit_fields
 
 _HEADER_CELL = re.compile(r"^(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]$")

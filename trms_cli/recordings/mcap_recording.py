@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.whole_file import whole_file
 from trms_cli.recordings.channels import Vocabulary, reference_of, signal_of, to_si
 from trms_cli.recordings.log_reader import LoggedRun, read_log
-from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.recording import Recording
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics

@@ -26,8 +26,8 @@ import numpy as np
 
 from trms_cli import __version__
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.whole_file import NO_ROOM, explain_os_error
 from trms_cli.recordings.chunk_writer import ChunkWriter
-from trms_cli.recordings.output_file import NO_ROOM, explain_os_error
 from trms_cli.recordings.topics import (
     EVENT_TOPIC,
     RUN_METADATA,
