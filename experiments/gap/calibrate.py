@@ -1,14 +1,17 @@
 """Fit the weights of the belief to simulated rigs whose truth is known.
 
-    python -m experiments.gap.calibrate [SOURCE …] [--blind SET.key DIAGNOSES] [--folds 5] [--write]
+    python -m experiments.gap.calibrate [SOURCE …] [--blind SET.key DIAGNOSES] [--folds 5]
+        [--any-rig] [--write] [--out FILE]
 
 reads what :mod:`.simulate` kept (folders, or ``features.jsonl.gz``) and diagnoses of blind sets
 with their keys, maximises the probability that the posterior gives to the truth (the logarithmic
 score, which nothing but honest probabilities maximises), and prints how far beliefs can be trusted:
 those of the diagnoses as they were, those of the package's weights, and those of weights fitted
-to the other folds. With ``--write`` the fit to all goes into ``trms_cli/gap/calibration.json``. A
-weak prior holds each weight near that of ``prior_weights.json``, so that a few dozen rigs cannot
-drive one to infinity.
+to the other folds. With ``--write`` the fit to all goes into ``trms_cli/gap/calibration.json``.
+With ``--any-rig`` the rigs are of other models than the twin rotors': an effect is weighed by its
+law, whatever port it acts at, errors are usual by the kind of place, and the fit goes into
+``calibration_any_rig.json``, or into the file of one model (``--out``). A weak prior holds each
+weight near that of ``prior_weights.json``, so that a few dozen rigs cannot drive one to infinity.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ from scipy.optimize import minimize
 
 from experiments.gap.blind.cases import Case as Rig
 from experiments.gap.blind.judgement import right_causes
+from experiments.gap.blind.model_rig import law_of
 from experiments.gap.blind.sealing import KEY
 from experiments.gap.cross_validation import (
     LEAST,
@@ -42,8 +46,12 @@ from experiments.gap.cross_validation import (
 from experiments.gap.features_file import FeaturesFile, Line, line_of
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.gap.belief import (
+    ACTUATOR,
+    ANY_RIG,
+    EQUATION,
     LAPSE,
     LAPSE_TEMPERATURE,
+    TWIN_ROTOR,
     Calibration,
     Features,
     alternatives,
@@ -91,13 +99,15 @@ _AT_MOST_PRIOR = (
     "effect.worse",
     "effect.constant",
 )
-#: Effects that the belief does not weigh: rounding is told by other marks.
-_APART = ("quantisation",)
+#: Effects that the belief does not weigh: they are told by other marks.
+_APART = ("quantisation", "dropout")
 #: Quantile of the errors of equations, over rigs without an effect, that counts as usual.
 _USUAL = 0.9
 
 #: Errors below this are not worth to be called unusual: a rig has more than simulated ones.
 _LEAST_USUAL = 0.01
+#: The same of rigs that are driven by sensors as fine as theirs: what is seen is their noise.
+_LEAST_OF_ANY = 0.005
 
 #: What the posterior knows of a rig, and which of its entries are right.
 Case = tuple[Features, frozenset[tuple[str, ...]]]
@@ -149,9 +159,14 @@ def prior_weights() -> dict[str, float]:
     return weights
 
 
-def fit_weights(prior: Mapping[str, float], cases: Sequence[Case]) -> dict[str, float]:
-    """Weights that make the truth least surprising; ``prior``: where they are without cases."""
-    own = [own_feature(effect) for effect in frequent_effects(cases)]
+def fit_weights(
+    prior: Mapping[str, float], cases: Sequence[Case], *, by_law: bool = False
+) -> dict[str, float]:
+    """Weights that make the truth least surprising; ``prior``: where they are without cases.
+
+    ``by_law``: whether an effect is weighed by its law, at any port, or by its name.
+    """
+    own = [own_feature(effect) for effect in frequent_effects(cases, by_law=by_law)]
     names = [*prior, *own]
     centre = np.array([*prior.values(), *np.zeros(len(own))])
     width = np.repeat([_WIDTH, _OWN_WIDTH], [len(prior), len(own)])
@@ -188,19 +203,29 @@ def fit_weights(prior: Mapping[str, float], cases: Sequence[Case]) -> dict[str, 
     return dict(zip(names, solution.x.tolist(), strict=True))
 
 
-def frequent_effects(cases: Sequence[Case]) -> list[str]:
-    """Effects that are part of what is right in many cases, by name."""
-    counts = Counter(effect for _, right in cases for effect in set().union(*right))
+def frequent_effects(cases: Sequence[Case], *, by_law: bool = False) -> list[str]:
+    """Effects, or laws, that are part of what is right in many cases, by name."""
+    counts = Counter(
+        (law_of(effect) or effect) if by_law else effect
+        for _, right in cases
+        for effect in set().union(*right)
+    )
     return sorted(n for n, count in counts.items() if count >= _OFTEN and n not in NO_EFFECT)
 
 
-def usual_shares(nulls: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Error of each equation that rigs without an effect seldom exceed."""
-    if not nulls:
-        return {}
+def usual_shares(
+    nulls: Sequence[Mapping[str, float]], *, by_kind: bool = False
+) -> dict[str, float]:
+    """Error of each equation, or kind of place, that rigs without an effect seldom exceed."""
+    errors = dict[str, list[float]]()
+    for null in nulls:
+        for name, share in null.items():
+            kind = ACTUATOR if name.endswith(f"_{ACTUATOR}") else EQUATION
+            errors.setdefault(kind if by_kind else name, []).append(share)
+    least = _LEAST_OF_ANY if by_kind else _LEAST_USUAL
     return {
-        name: round(max(_LEAST_USUAL, float(np.quantile([n[name] for n in nulls], _USUAL))), 4)
-        for name in nulls[0]
+        name: round(max(least, float(np.quantile(shares, _USUAL))), 4)
+        for name, shares in errors.items()
     }
 
 
@@ -240,23 +265,33 @@ def diagnosis_belief(line: Line) -> dict[tuple[str, ...], float]:
 
 
 def study(
-    lines: Sequence[Line], folds: int, seed: int, *, usual_too: bool = False
+    lines: Sequence[Line],
+    folds: int,
+    seed: int,
+    *,
+    usual_too: bool = False,
+    any_rig: bool = False,
 ) -> tuple[Calibration, str]:
     """Weights fitted to all, and tables of beliefs that nothing was fitted to.
 
     ``usual_too``: whether what counts as usual is taken from these rigs, too. What a fit leaves
-    beyond that is a feature: their diagnoses have to be made anew then.
+    beyond that is a feature: their diagnoses have to be made anew then. ``any_rig``: whether the
+    rigs are those of other models than the twin rotors'.
     """
     calibration_lines = calibrating(lines)
     feature_sets = [features_of(line.evidence) for line in calibration_lines]
     rights = [frozenset(right_causes(line.case)) for line in calibration_lines]
     rigs = [line.case for line in calibration_lines]
-    start, prior = calibration(), prior_weights()
+    start, prior = calibration(ANY_RIG if any_rig else TWIN_ROTOR), prior_weights()
+
+    def fit(cases: Sequence[Case]) -> dict[str, float]:
+        return fit_weights(prior, cases, by_law=any_rig)
+
     beliefs = cross_validated(
         feature_sets,
         rights,
         folds_of(rigs, folds, seed),
-        lambda cases: fit_weights(prior, cases),
+        fit,
         probabilities_of,
     )
     text = tables(
@@ -277,10 +312,8 @@ def study(
         and line.case.kind in ("null", "offset")
         and not line.case.imperfect
     ]
-    fitted_calibration = replace(
-        start, weights=fit_weights(prior, list(zip(feature_sets, rights, strict=True)))
-    )
-    usual = {**start.usual_shares, **usual_shares(nulls)}
+    fitted_calibration = replace(start, weights=fit(list(zip(feature_sets, rights, strict=True))))
+    usual = {**start.usual_shares, **usual_shares(nulls, by_kind=any_rig)}
     rows = [(name, start.usual(name), share) for name, share in usual.items()]
     text += "\nErrors that are usual, as shares of what acts there: in force, of these rigs\n\n"
     text += "".join(f"{name:16} {now:.4f} {share:.4f}\n" for name, now, share in rows)
@@ -289,14 +322,18 @@ def study(
     return fitted_calibration, text
 
 
-def write_constants(constants: Calibration) -> None:
-    """Make them the package's."""
+def write_constants(constants: Calibration, file: str | Path = TWIN_ROTOR) -> None:
+    """Make them the package's; or, with a path, those of a rig."""
     content = {
         k: v if isinstance(v, str) else {name: round(w, 4) for name, w in v.items()}
         for k, v in asdict(constants).items()
     }
     text = json.dumps({"command": content.pop("command"), **content}, indent=2) + "\n"
-    with as_file(files("trms_cli.gap") / "calibration.json") as path:
+    if isinstance(file, Path):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        replace_whole(file, text.encode())
+        return
+    with as_file(files("trms_cli.gap") / file) as path:
         replace_whole(path, text.encode())
 
 
@@ -325,6 +362,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         action="store_true",
         help="what counts as usual as well; the rigs have to be diagnosed anew then",
     )
+    parser.add_argument(
+        "--any-rig", action="store_true", help="rigs of other models than the twin rotors'"
+    )
+    parser.add_argument("--out", type=Path, help="where the fit goes, instead of the package")
     arguments = parser.parse_args(argv)
     for key, _ in arguments.blind:
         if not (key / KEY).is_file():
@@ -337,17 +378,25 @@ def main(argv: Sequence[str] | None = None) -> int:
             f"{len(calibration_lines)} diagnosed rigs are too few for {arguments.folds} folds"
         )
     fitted_calibration, text = study(
-        lines, arguments.folds, arguments.seed, usual_too=arguments.usual
+        lines,
+        arguments.folds,
+        arguments.seed,
+        usual_too=arguments.usual,
+        any_rig=arguments.any_rig,
     )
     failed = sum(bool(line.failed) for line in lines)
     sys.stdout.write(
         f"{len(lines)} rigs, {failed} could not be diagnosed, "
         f"{len(calibration_lines)} are weighed\n\n{text}"
     )
-    if arguments.write:
-        sources = " ".join(source.as_posix() for source in arguments.sources)
-        command = f"python -m experiments.gap.calibrate {sources} --write"
-        write_constants(replace(fitted_calibration, command=command))
+    if arguments.write or arguments.out:
+        words = [source.as_posix() for source in arguments.sources]
+        words += [f"--blind {key.as_posix()} {found.as_posix()}" for key, found in arguments.blind]
+        words += ["--any-rig"] * arguments.any_rig + ["--usual"] * arguments.usual
+        words += ["--write"] if arguments.write else [f"--out {arguments.out}"]
+        command = f"python -m experiments.gap.calibrate {' '.join(words)}"
+        file = arguments.out or (ANY_RIG if arguments.any_rig else TWIN_ROTOR)
+        write_constants(replace(fitted_calibration, command=command), file)
     return 0
 
 

@@ -13,10 +13,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
+from msgspec import convert
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.gap.diagnosis import NO_EFFECT
 
 
@@ -32,15 +35,38 @@ class Calibration:
     command: str = ""  #: That fits the weights again
 
     def usual(self, location: str) -> float:
-        """Error of an equation of a rig without a gap."""
-        return self.usual_shares.get(location, max(self.usual_shares.values(), default=0.03))
+        """Error of an equation of a rig without a gap: the place's own, or that of its kind."""
+        kind = ACTUATOR if location.endswith(f"_{ACTUATOR}") else EQUATION
+        largest = max(self.usual_shares.values(), default=0.03)
+        return self.usual_shares.get(location, self.usual_shares.get(kind, largest))
+
+
+#: Kinds of places, of rigs whose places nobody knows beforehand.
+ACTUATOR, EQUATION = "actuator", "equation"
+#: Of the package: of the twin rotors, and of any other model.
+TWIN_ROTOR, ANY_RIG = "calibration.json", "calibration_any_rig.json"
 
 
 @cache
-def calibration() -> Calibration:
-    """The package's."""
-    text = (files("trms_cli.gap") / "calibration.json").read_text(encoding="utf-8")
+def calibration(name: str = TWIN_ROTOR) -> Calibration:
+    """One of the package's."""
+    text = (files("trms_cli.gap") / name).read_text(encoding="utf-8")
     return Calibration(**json.loads(text))
+
+
+def calibration_file(path: Path) -> Calibration:
+    """One that ``make calibration MODEL=NAME`` has written.
+
+    Raises ConfigurationError for a file that is missing or is none.
+    """
+    remedy = "name a file that `make calibration MODEL=NAME` wrote, or leave the key out"
+    try:
+        return convert(json.loads(path.read_text(encoding="utf-8")), Calibration, strict=False)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigurationError(
+            f"{path}: no calibration: {reason}", where="calibration", remedy=remedy
+        ) from error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,8 +147,8 @@ _SLOW = 4.0
 _WHOLE = 1.01
 #: What the name of a torque from outside ends in.
 DISTURBANCE = "_disturbance"
-#: What the name of coarse rounding ends in, which no simulation shows.
-QUANTISATION = "_quantisation"
+#: What the names of coarse rounding and of lost samples end in, which no simulation shows.
+QUANTISATION, DROPOUT = "_quantisation", "_dropout"
 #: Logarithms. A right cause may do a channel so much harm on a short sealed part; more than the
 #: other is all alike.
 _BY_CHANCE, _HARMED = 0.1, 1.5
@@ -132,7 +158,7 @@ _WORST = 50.0
 
 def simulated_part(effects: tuple[str, ...]) -> tuple[str, ...]:
     """Those effects of a cause that a simulation shows."""
-    return tuple(n for n in effects if not n.endswith((DISTURBANCE, QUANTISATION)))
+    return tuple(n for n in effects if not n.endswith((DISTURBANCE, QUANTISATION, DROPOUT)))
 
 
 def own_feature(effect: str) -> str:
@@ -142,6 +168,12 @@ def own_feature(effect: str) -> str:
     form), others by nothing, or they show by a handful of nats at any size.
     """
     return f"own.{effect}"
+
+
+def own_features(effect: str) -> list[str]:
+    """That of an effect, and those of the endings of its name: a law weighs alike at any port."""
+    words = effect.split("_")
+    return [own_feature("_".join(words[i:])) for i in range(len(words))]
 
 
 def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
@@ -225,7 +257,7 @@ def alternatives(features: Features) -> dict[tuple[str, ...], dict[str, float]]:
     }
     for name, row in rows.items():
         if name[0] not in NO_EFFECT:
-            row |= {own_feature(effect): 1.0 for effect in name}
+            row |= {feature: 1.0 for effect in name for feature in own_features(effect)}
     return rows
 
 
@@ -344,10 +376,15 @@ def probabilities_of(
     Descending. ``weights``: by feature; of an effect's own zero where it has none.
     """
     rows = alternatives(features)
-    all_weights = {own_feature(effect): 0.0 for names in rows for effect in names} | dict(weights)
-    logits = np.array([sum(all_weights[k] * v for k, v in row.items()) for row in rows.values()])
+    logits = np.array(
+        [sum(_weight(weights, k) * v for k, v in row.items()) for row in rows.values()]
+    )
     probabilities = dict(zip(rows, shares_of(logits).tolist(), strict=True))
     return dict(sorted(probabilities.items(), key=lambda item: -item[1]))
+
+
+def _weight(weights: Mapping[str, float], feature: str) -> float:
+    return weights.get(feature, 0.0) if feature.startswith("own.") else weights[feature]
 
 
 def shares_of(logits: FloatArray) -> FloatArray:

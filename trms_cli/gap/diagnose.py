@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from trms_cli.gap.beginning import begins_at
-from trms_cli.gap.belief import calibration, simulated_part
+from trms_cli.gap.belief import ANY_RIG, TWIN_ROTOR, calibration, simulated_part
 from trms_cli.gap.competing_model import Refit, about_priors, nominal_parameters, refit
 from trms_cli.gap.diagnosis import DiagnosisResult
 from trms_cli.gap.diagnosis_result import StageResults, result_of
@@ -30,6 +30,7 @@ from trms_cli.gap.problem import (
 )
 from trms_cli.gap.race import EFFORTS, Checkpoint, run_race
 from trms_cli.gap.residuals import innovation_tests, locate, smoothed_forces
+from trms_cli.gap.sensor_marks import without_lost_samples
 from trms_cli.gap.shrinkage import SealedRuns, sealed_comparison
 from trms_cli.gap.signatures import EffectTraces, effect_traces, project_traces
 from trms_cli.identification.problem import Progress, SilentProgress
@@ -113,6 +114,9 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         result = change_result(problem, compare(problem, watch.tell_whole))
         return replace(result, seconds={"comparison": round(time.perf_counter() - start_time, 3)})
     watch.enter("refit")
+    candidates, left_out = applicable_candidates(problem.model, problem.candidates)
+    datasets, lost = without_lost_samples(problem.datasets, candidates)
+    problem = replace(problem, datasets=datasets, lost_shares=lost)
     quick = problem.effort == "quick"
     parts = divide(
         problem.datasets,
@@ -124,7 +128,6 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         finest=finest_step(problem.model, problem.datasets),
     )
     free = nominal_parameters(problem.model)
-    candidates, left_out = applicable_candidates(problem.model, problem.candidates)
     simulated = {name: candidate for name, candidate in candidates.items() if candidate.simulated}
     step = parts.fitted[0].sample_time
     unseen = max((len(c.effect.sensor_memory(step)) for c in simulated.values()), default=0)
@@ -166,7 +169,9 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
             if leads(beside, race):
                 nominal, race = free_form.nominal, beside
                 problem = replace(problem, model=free_form.model)
-    constants = calibration()
+    constants = problem.calibration or calibration(
+        TWIN_ROTOR if problem.model.bench_sizes else ANY_RIG
+    )
     channels = nominal.metric.discrepancy.channels
     usual = {c.location: constants.usual(c.location) for c in channels}
     watch.enter("where")

@@ -364,6 +364,12 @@ class Discrepancy:
     channels: tuple[DiscrepancyChannel, ...]
     start_share: float = 1.0  #: Standard deviation of the starts over their prior spread
 
+    @property
+    def floor(self) -> float:
+        """The least share of any force."""
+        bench = self.windows.problem.model.without_effects().bench_sizes
+        return FLOOR if bench else _FLOOR_OF_ANY
+
     @cached_property
     def autocorrelation(self) -> FloatArray:
         """Factor of each force from one sample to the next, (n_d,)."""
@@ -468,8 +474,9 @@ class Discrepancy:
         return x, variance
 
 
-#: Share of what acts on an equation that it may always err by: integration, rounding, jitter.
-FLOOR = 0.004
+#: Share of what acts on an equation that it may always err by: integration, rounding, jitter. A
+#: drive with a fine encoder is integrated as finely, and shows a bias of a thousandth.
+FLOOR, _FLOOR_OF_ANY = 0.004, 0.001
 #: No discrepancy is larger than what acts there, several times over.
 _MOST = 10.0
 _TOLERANCE = 0.05
@@ -482,7 +489,7 @@ def likely_shares(
     *,
     moving: BoolArray | None = None,
     iterations: int = 8,
-    least: FloatArray | float = FLOOR,
+    least: FloatArray | float | None = None,
 ) -> FloatArray:
     """Most likely sizes of the forces.
 
@@ -491,8 +498,9 @@ def likely_shares(
 
     ``r``, (m, c, n_y) array: measured less predicted. ``shares``, (n_d,) array: where to begin.
     ``moving``, (n_d,) array of bool: those that are to be found; None: all. ``least``, (n_d,)
-    array: no size is smaller.
+    array: no size is smaller; None: than the floor.
     """
+    least = discrepancy.floor if least is None else least
     shares = np.maximum(np.asarray(shares, dtype=float), least)
     n = discrepancy.trajectory.x.shape[-1]
     is_free = np.ones(len(shares), dtype=bool) if moving is None else moving

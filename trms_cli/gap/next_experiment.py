@@ -13,7 +13,6 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.wording import listing
 from trms_cli.gap.competing_model import FittedModel, Refit
 from trms_cli.gap.diagnosis import NextExperiment, OpenLoopExperiment, PredictedExperiment
-from trms_cli.gap.discrepancy import FLOOR
 from trms_cli.gap.experiments import command_line
 from trms_cli.gap.predicted_recording import (
     between,
@@ -94,7 +93,7 @@ def advise(
     if len(apart_names) >= 2 and any(candidates[name].stochastic for name in apart_names):
         return _repetition_advice(apart_names, candidates, model_name, step)
     if shares is None:
-        shares = np.maximum(FLOOR, _LEFT * refit.metric.shares)
+        shares = np.maximum(refit.metric.discrepancy.floor, _LEFT * refit.metric.shares)
     present = replace(refit, metric=replace(refit.metric, shares=shares))
     question = _question(apart_names, untested, candidates, values, present)
     if question is None:

@@ -15,7 +15,6 @@ from trms_cli.effects.places import sensor_place
 from trms_cli.gap.beginning import begins_at
 from trms_cli.gap.belief import (
     DISTURBANCE,
-    QUANTISATION,
     Calibration,
     Features,
     probabilities_of,
@@ -28,9 +27,10 @@ from trms_cli.gap.discrepancy import input_channels, log_likelihood
 from trms_cli.gap.flexible import Flexible
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
-from trms_cli.gap.problem import CandidateEffect, GapProblem, is_coarser, quantum_of
+from trms_cli.gap.problem import CandidateEffect, GapProblem
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
+from trms_cli.gap.sensor_marks import sensor_marks, with_marked_sensors
 from trms_cli.gap.shrinkage import SealedRuns, farthest_errors, harm
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
@@ -51,8 +51,6 @@ _CERTAIN = 0.05
 _RESAMPLES = 200
 #: Competitors whose free runs on the sealed part are asked for.
 _RUN = 5
-#: Belief that a sensor which rounds coarser than the other has that effect.
-_COARSE = 0.95
 
 
 @dataclass(frozen=True)
@@ -278,12 +276,12 @@ def posterior_of(
         dependence = exogenous(forces[moments[axis]], problem.seed)
         predictable_share = dependence.predictable_share if dependence.p_value < _CERTAIN else 0.0
         features = replace(features, foretold=float(np.fmax(features.foretold, predictable_share)))
-    coarse = coarse_sensor(problem, candidates)
+    marked = sensor_marks(problem, candidates)
     special = special_cases(race.entries, candidates)
 
     def probabilities_given(own_features: Features) -> dict[tuple[str, ...], float]:
         by_cause = merged(probabilities_of(own_features, constants.weights), special)
-        return _with_coarse_sensor(by_cause, coarse)
+        return with_marked_sensors(by_cause, marked)
 
     probabilities = probabilities_given(features)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
@@ -403,42 +401,3 @@ def merged(
             if share > 0:
                 totals[own] = totals.get(own, 0.0) + share * probability
     return dict(sorted(totals.items(), key=lambda item: -item[1]))
-
-
-def coarse_sensor(problem: GapProblem, candidates: Mapping[str, CandidateEffect]) -> str:
-    """A sensor that rounds coarser than the other shows in its steps, and in nothing else.
-
-    The name of its effect; empty where there is none.
-    """
-    quanta, units = {}, set()
-    for axis, definition in problem.model.axes.items():
-        for dataset in problem.datasets[:1]:
-            names_ = [s.name for s in dataset.outputs]
-            if definition.angle in names_:
-                quanta[axis] = quantum_of(dataset.measurements[:, names_.index(definition.angle)])
-                units.add(dataset.outputs[names_.index(definition.angle)].unit)
-    if len(units) > 1:  # of other kinds, with steps of their own
-        return ""
-    coarse = [
-        axis
-        for axis, quantum in quanta.items()
-        if f"{axis}_quantisation" in candidates and is_coarser(quantum, min(quanta.values()))
-    ]
-    return f"{coarse[0]}{QUANTISATION}" if coarse and len(quanta) > 1 else ""
-
-
-def _with_coarse_sensor(
-    probabilities: Mapping[tuple[str, ...], float], coarse: str
-) -> dict[tuple[str, ...], float]:
-    """Give the effect of a coarse sensor its share of every answer but that of no name."""
-    if not coarse:
-        return dict(probabilities)
-    shares: dict[tuple[str, ...], float] = {}
-    for names_, probability in probabilities.items():
-        if names_ == ("none_of_these",):
-            shares[names_] = shares.get(names_, 0.0) + probability
-            continue
-        combination = (coarse,) if names_[0] in NO_EFFECT else tuple(sorted((*names_, coarse)))
-        shares[combination] = shares.get(combination, 0.0) + _COARSE * probability
-        shares[names_] = shares.get(names_, 0.0) + (1 - _COARSE) * probability
-    return dict(sorted(shares.items(), key=lambda item: -item[1]))

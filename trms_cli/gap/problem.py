@@ -18,7 +18,8 @@ from trms_cli.core.wording import listing, number
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.places import places_of
-from trms_cli.effects.sensors import Quantisation
+from trms_cli.effects.sensors import Dropout, Quantisation
+from trms_cli.gap.belief import Calibration
 from trms_cli.gap.diagnosis import DiagnosedRecording
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter
@@ -62,6 +63,9 @@ class GapProblem:
     #: Whether the recordings are experiments each of which was made for what the ones before left
     #: open: all of them are fitted, and the end of each is sealed
     investigates: bool = False
+    calibration: Calibration | None = None  #: Of the belief; None: the package's
+    #: Of each sensor that shows readings again, by name of the effect, see ``sensor_marks.py``
+    lost_shares: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = field(default=())  #: Of the admission, to stand in the report
 
 
@@ -442,8 +446,8 @@ class CandidateEffect:
 
     @property
     def simulated(self) -> bool:
-        """Whether a simulation with slopes shows it: neither noise nor rounding has a slope."""
-        return not self.stochastic and not isinstance(self.effect, Quantisation)
+        """Whether a simulation with slopes shows it: noise, rounding and chance have no slope."""
+        return not self.stochastic and not isinstance(self.effect, Quantisation | Dropout)
 
 
 def applicable_candidates(

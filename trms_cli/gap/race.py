@@ -31,7 +31,6 @@ from trms_cli.gap.beginning import (
     promised_jumps,
 )
 from trms_cli.gap.competing_model import FittedModel, Metric, ModelStructure, Refit
-from trms_cli.gap.discrepancy import FLOOR
 from trms_cli.gap.problem import CandidateEffect, is_amplitude
 from trms_cli.gap.signatures import EffectTraces, Signatures, project_traces
 
@@ -597,7 +596,7 @@ def better_of(entries: Sequence[FittedModel], again: Sequence[FittedModel]) -> l
 
 def _tightened(fitted: Fitted) -> Fitted:
     """The same fit, whose discrepancy is a part of what it found."""
-    shares = np.maximum(FLOOR, fitted.metric.shares / _TIGHTER)
+    shares = np.maximum(fitted.metric.discrepancy.floor, fitted.metric.shares / _TIGHTER)
     return replace(fitted, metric=replace(fitted.metric, shares=shares))
 
 

@@ -32,7 +32,7 @@ from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.model_form import MODEL_FORM
-from trms_cli.gap.belief import simulated_part
+from trms_cli.gap.belief import Calibration, calibration_file, simulated_part
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
@@ -86,6 +86,7 @@ class DiagnoseOptions:
     effort: Literal["quick", "normal", "thorough"] = "normal"
     block: Annotated[float, Meta(gt=0)] | None = None  #: s
     sealed_share: Annotated[float, Meta(gt=0, lt=1)] = 0.25  #: kept aside for the verdict
+    calibration: str | None = None  #: File; None: the model's own in a folder of options, if any
     seed: Annotated[int, Meta(ge=0)] = 0
     jobs: Annotated[int, Meta(ge=1)] = 2
     out: str | None = None
@@ -116,6 +117,7 @@ class DiagnosisRequest:
             *(f"{p.name} {p.value!r} {p.prior_sd!r}" for p in problem.model.parameters),
             repr(self.candidates.nodes),
             repr((problem.block, problem.sealed_share, problem.effort, problem.seed)),
+            repr(problem.calibration),
         ]
         digest = sha256("\n".join(parts).encode())
         for dataset in (*problem.datasets, *problem.against):
@@ -158,11 +160,27 @@ def request_of(composition: Composition) -> DiagnosisRequest:
         seed=options.seed,
         jobs=options.jobs,
         advise=options.advises,
+        calibration=_calibration(options, model, composition.config_dirs),
         warnings=tuple(str(issue) for issue in admission.warnings),
     )
     everything = (*datasets, *against)
     remarks = dict.fromkeys(remark for dataset in everything for remark in dataset.remarks)
     return DiagnosisRequest(options, problem, candidates, tuple(remarks))
+
+
+#: Folder of options with the calibrations of models.
+_CALIBRATION = "calibration"
+
+
+def _calibration(
+    options: DiagnoseOptions, model: Model, config_dirs: Sequence[Path]
+) -> Calibration | None:
+    """As asked for, or the model's own; None: the package's."""
+    if options.calibration is not None:
+        return calibration_file(Path(options.calibration).expanduser())
+    files = (folder / _CALIBRATION / f"{model.name}.json" for folder in config_dirs)
+    own = next((file for file in files if file.is_file()), None)
+    return None if own is None else calibration_file(own)
 
 
 #: s. Recordings of a known state, together, and those in question must be as long.
