@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.effects.first_order import first_order
-from trms_cli.effects.inputs import ActuatorLag, DeadZone, InputDelay, SupplyDerating
+from trms_cli.effects.inputs import ActuatorLag, DeadZone, InputDelay, SupplyDerating, first_order
 
 
 def lag(seconds, rotor="tail"):

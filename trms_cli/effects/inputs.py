@@ -14,11 +14,30 @@ from msgspec import Meta
 
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import Effect, EffectContext, rotor_input
-from trms_cli.effects.first_order import first_order
 from trms_cli.models.model import Signal, Window, names
 from trms_cli.models.parameters import Parameter
 
+#: A window of this many time constants and more leaves nothing of the past: exp(−1000) is zero in
+#: double precision.
+LONGEST = 1000.0
 _SHORTEST = 1e-9  #: s, rise time that is no limit in any step
+
+
+def first_order(
+    state: ca.SX, target: ca.SX, time_constant: ca.SX, duration: float
+) -> tuple[ca.SX, ca.SX]:
+    """Mean over a window and value after it of a first-order lag, ``τ v̇ = target − v``.
+
+    ``v⁺ = e v + (1 − e) target`` and ``mean = target + (v − target) (1 − e) τ/h`` with
+    ``e = exp(−h/τ)``. For τ = 0 both are ``target``, bit for bit, and their derivatives are finite.
+
+    ``state``: v at the beginning of the window. ``time_constant``: τ, s, not negative.
+    ``duration``: h, s.
+    """
+    divisor = ca.fmax(time_constant, duration / LONGEST)
+    decay = ca.exp(-duration / divisor)
+    mean = target + (state - target) * (1 - decay) * (time_constant / duration)
+    return mean, decay * state + (1 - decay) * target
 
 
 @dataclass(frozen=True, kw_only=True)

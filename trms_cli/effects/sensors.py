@@ -18,7 +18,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ModelError
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.effects.effect import EffectContext, SensorEffect, output_row
-from trms_cli.effects.first_order import first_order_ramp
+from trms_cli.effects.inputs import LONGEST
 from trms_cli.models.model import Model, Signal, Window, names
 from trms_cli.models.parameters import Parameter
 from trms_cli.models.scales import port_scale
@@ -149,7 +149,7 @@ class TachoLag(SensorEffect):
     ) -> ca.SX:
         row = self.row(at.model)
         duration = (window[1] - window[0]) * step
-        return first_order_ramp(
+        return _first_order_ramp(
             at.sensor_memory, after[row] - before[row], at.sizes["time_constant"], duration
         )
 
@@ -325,3 +325,17 @@ def _slopes(widths: list[float], rises: list[ca.SX]) -> list[ca.SX]:
     if not inner:
         return [steep[0], steep[0]]
     return [2 * steep[0] - inner[0], *inner, 2 * steep[-1] - inner[-1]]
+
+
+def _first_order_ramp(error: ca.SX, rise: ca.SX, time_constant: ca.SX, duration: float) -> ca.SX:
+    """How far ``τ v̇ = target − v`` is off its target after a window over which that rises evenly.
+
+    ``e⁺ = exp(−h/τ) e − (1 − exp(−h/τ)) (τ/h) rise`` for ``e = v − target``. For τ = 0 it is zero,
+    bit for bit, with finite derivatives.
+
+    ``error``: v − target at the beginning of the window. ``rise``: change of the target over the
+    window. ``time_constant``: τ, s, not negative. ``duration``: h, s.
+    """
+    divisor = ca.fmax(time_constant, duration / LONGEST)
+    decay = ca.exp(-duration / divisor)
+    return decay * error - (1 - decay) * (time_constant / duration) * rise

@@ -27,7 +27,7 @@ from trms_cli.gap.belief import (
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, coarser_sensors, judge
-from trms_cli.gap.known_state import KnownState, known_state
+from trms_cli.gap.known_state import KnownState, StandingError, known_state
 from trms_cli.gap.problem import (
     CandidateEffect,
     GapProblem,
@@ -36,7 +36,6 @@ from trms_cli.gap.problem import (
     with_noise,
     without_contacts,
 )
-from trms_cli.gap.standing import StandingError
 from trms_cli.gap.unnamed_force import law_evidence, with_random_torque
 from trms_cli.identification.dataset import Dataset
 

@@ -10,7 +10,6 @@ from scipy.special import logsumexp
 from trms_cli.core.wording import gap_share, listing, number, readable
 from trms_cli.effects.forces import ConstantTorque
 from trms_cli.gap.change import StateComparison
-from trms_cli.gap.change_shrinkage import change_shrinkage, stand_in
 from trms_cli.gap.diagnosis import (
     Cause,
     DiagnosisResult,
@@ -33,7 +32,7 @@ from trms_cli.gap.problem import (
     poor_excitation,
     recorded_values,
 )
-from trms_cli.gap.shrinkage import Shrinkage
+from trms_cli.gap.shrinkage import Shrinkage, change_shrinkage, stand_in
 from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
 from trms_cli.models.rig_parts import diagram_rows, parts_of
 from trms_cli.models.scales import port_scale

@@ -17,9 +17,9 @@ from trms_cli.gap.differences import (
     NewRecordings,
     SensorJump,
 )
+from trms_cli.gap.known_state import robust, robust_weight
 from trms_cli.gap.problem import CandidateEffect, is_coarser, quantum_of
 from trms_cli.gap.short_runs import ShortRuns
-from trms_cli.gap.standing import robust, robust_weight
 from trms_cli.models.model import names
 
 

@@ -7,6 +7,8 @@ blocks that were fitted are sealed in turn, each with the parameters that the ot
 would give, and blocks are drawn from all of them.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,9 +16,15 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.extended_model import extend_model
+from trms_cli.effects.forces import ConstantTorque
 from trms_cli.gap.beginning import begins_at
+from trms_cli.gap.change import StateComparison
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import Gap, Shrink, shown_horizon
+from trms_cli.gap.differences import NewRecordings, differences
+from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, judge
 from trms_cli.gap.free_runs import (
     Errors,
     HorizonErrors,
@@ -24,7 +32,8 @@ from trms_cli.gap.free_runs import (
     free_run_errors,
     join_errors,
 )
-from trms_cli.gap.problem import GapProblem, Parts, horizons_of
+from trms_cli.gap.problem import GapProblem, Parts, divide, horizons_of
+from trms_cli.identification.problem import with_values
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout
 
@@ -182,12 +191,12 @@ class _Pair:
     block: IntArray  #: (m,) array of int; from :data:`_IN_TURN` on those that were fitted
 
     @classmethod
-    def of(cls, before: HorizonErrors, after: HorizonErrors, floor: float) -> "_Pair":
+    def of(cls, before: HorizonErrors, after: HorizonErrors, floor: float) -> _Pair:
         squares = np.stack([before.squared, after.squared]) / floor**2
         squares = np.minimum(squares, _DIVERGED**2)  # infinite where a run diverged
         return cls(squares, before.block)
 
-    def beside(self, turns: "_Pair") -> "_Pair":
+    def beside(self, turns: _Pair) -> _Pair:
         """With blocks that were sealed in turn."""
         return _Pair(
             np.hstack([self.squares, turns.squares]),
@@ -349,3 +358,64 @@ def sealed_comparison(
         problem, parts, problem.model, refit.model, last, (plain, richer), runs, turns
     )
     return SealedComparison(shrinkage, models)
+
+
+#: s after an onset that must be left to estimate sizes from.
+_LEAST_AFTER = 5.0
+
+
+def change_shrinkage(
+    problem: GapProblem, comparison: StateComparison, correction: DifferenceScore | None
+) -> Shrinkage | None:
+    """Free runs of the model as it was, of the known state's, and of that with the difference.
+
+    ``correction``: what the corrected model has beyond the known state's; None: nothing. None where
+    the recordings are too short to keep a part aside, or the difference begins within that part.
+    """
+    try:
+        parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
+    except ConfigurationError:
+        return None
+    known_model = comparison.questioned.known_state.model
+    corrected = known_model if correction is None else _corrected(comparison, parts, correction)
+    if corrected is None:
+        return None
+    return measure_shrinkage(problem, parts, problem.model, known_model, corrected)
+
+
+def _corrected(
+    comparison: StateComparison, parts: Parts, correction: DifferenceScore
+) -> Model | None:
+    """The known state's model with the difference, of sizes that the sealed part has no say in."""
+    known_state = comparison.questioned.known_state
+    # nothing foretells what varies at random, and rounding is in no model
+    if correction.varies or not correction.difference.families:
+        return known_state.model
+    if correction.began is not None:
+        within = (
+            parts.fitted[correction.recording] if correction.recording < len(parts.fitted) else None
+        )
+        if within is None or within.duration - correction.began.time_s < _LEAST_AFTER:
+            return None
+    name = correction.difference.name
+    evidence = ChangeEvidence(NewRecordings.of(known_state, parts.fitted))
+    again = differences(evidence.questioned, comparison.candidates, only={name})
+    difference = next(iter(again), None)
+    if difference is None:  # it diverges there
+        return None
+    score = judge(evidence, difference)
+    if correction.difference.kind == "parameter":
+        value = known_state.model.parameters[name].value + float(score.value[0])
+        return with_values(known_state.model, {name: value})
+    sizes = dict(zip(score.difference.labels, score.value.tolist(), strict=True))
+    effect = stand_in(correction) or comparison.candidates[name].effect
+    with_effect = extend_model(known_state.model, {name: effect})
+    return with_values(with_effect, {f"{name}.{size}": value for size, value in sizes.items()})
+
+
+def stand_in(score: DifferenceScore) -> ConstantTorque | None:
+    """What a model has in place of a torque from outside; None for any other difference."""
+    if score.difference.kind != "torque" or score.varies:
+        return None
+    axis = score.difference.name.split("_")[0]
+    return ConstantTorque(axis=axis, torque=float(score.value[0]))
