@@ -32,9 +32,7 @@ from trms_cli.gap.problem import (
     CandidateEffect,
     GapProblem,
     applicable_candidates,
-    thin_dataset,
-    with_noise,
-    without_contacts,
+    comparable_datasets,
 )
 from trms_cli.gap.unnamed_force import law_evidence, with_random_torque
 from trms_cli.identification.dataset import Dataset
@@ -75,13 +73,8 @@ def compare(
 
     ``watch``: told the share that is done and what is being done.
     """
-    against, recordings = (
-        [
-            without_contacts(thin_dataset(with_noise(d)), problem.block, problem.model.stops)
-            for d in datasets
-        ]
-        for datasets in (problem.against, problem.datasets)
-    )
+    against = comparable_datasets(problem, problem.against)
+    recordings = comparable_datasets(problem, problem.datasets)
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)
     watch(0.0, "the known state")
     return compare_with(

@@ -23,13 +23,7 @@ from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.diagnosis import DiagnosisResult
 from trms_cli.gap.known_state import known_state
-from trms_cli.gap.problem import (
-    GapProblem,
-    applicable_candidates,
-    thin_dataset,
-    with_noise,
-    without_contacts,
-)
+from trms_cli.gap.problem import GapProblem, applicable_candidates, comparable_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import names
 
@@ -49,10 +43,7 @@ def diagnose_onset(
     problem: GapProblem, watch: Callable[[float, str], bool] = lambda share, message: True
 ) -> DiagnosisResult | None:
     """A diagnosis of what began within the recordings; None where nothing clearly did."""
-    recordings = [
-        without_contacts(thin_dataset(with_noise(d)), problem.block, problem.model.stops)
-        for d in problem.datasets
-    ]
+    recordings = comparable_datasets(problem, problem.datasets)
     if len({names(d.outputs) for d in recordings}) > 1:
         return None  # each is compared with what is known of all
     for share in _FIRST:
