@@ -30,7 +30,7 @@ from trms_cli.gap.free_runs import (
     HorizonErrors,
     expected_errors,
     free_run_errors,
-    join_errors,
+    joined_errors,
 )
 from trms_cli.gap.problem import GapProblem, Parts, divide, horizons_of
 from trms_cli.identification.problem import with_values
@@ -73,29 +73,26 @@ class SealedRuns:
         self._problem, self._parts = problem, parts
         self._options: dict[str, Any] = {"block": parts.block, "jobs": problem.jobs}
         self._options["horizons"] = horizons_of(problem.model)
-        self._errors: dict[int, tuple[Model, Errors]] = {}
-        self._floors: dict[int, tuple[Model, Errors]] = {}
+        self._errors: dict[Model, Errors] = {}
+        self._floors: dict[Model, Errors] = {}
 
     def errors(self, model: Model, rollout: Rollout | None = None) -> Errors:
         """By channel and horizon; ``rollout``: of the model's structure, where one is at hand."""
-        # the model stands beside its errors so that its identity stays its own
-        entry = self._errors.get(id(model))
-        if entry is None:
-            own = self._parts
-            errors = free_run_errors(model, own.whole, own.sealed, rollout=rollout, **self._options)
-            entry = self._errors[id(model)] = (model, errors)
-        return entry[1]
+        own = self._parts
+        if model not in self._errors:
+            self._errors[model] = free_run_errors(
+                model, own.whole, own.sealed, rollout=rollout, **self._options
+            )
+        return self._errors[model]
 
     def floor(self, model: Model, rollout: Rollout | None = None) -> Errors:
         """What a model leaves of its own simulation, seen through the sensors' noise."""
-        entry = self._floors.get(id(model))
-        if entry is None:
-            own, seed = self._parts, self._problem.seed
-            errors = expected_errors(
+        own, seed = self._parts, self._problem.seed
+        if model not in self._floors:
+            self._floors[model] = expected_errors(
                 model, own.whole, own.sealed, seed=seed, rollout=rollout, **self._options
             )
-            entry = self._floors[id(model)] = (model, errors)
-        return entry[1]
+        return self._floors[model]
 
 
 def farthest_errors(errors: Errors, floor: Errors, stray: Mapping[str, float]) -> FloatArray:
@@ -290,7 +287,7 @@ def _in_turn(
         return None
     windows = refit.structure.windows
     ends = np.cumsum([len(dataset) for dataset in windows.datasets])
-    block_errors: list[list[Errors]] = [[], []]
+    block_errors: list[list[tuple[str, float, HorizonErrors]]] = [[], []]
     acts = begins_at(corrected) or 0  # before, the corrected model is not the rig's
     for j, (first, count) in enumerate(zip(windows.first, windows.count, strict=True)):
         if j < acts:
@@ -303,29 +300,13 @@ def _in_turn(
             errors = free_run_errors(
                 fitted.without(j), parts.whole, [span], block=parts.block, rollout=own, jobs=jobs
             )
-            own_errors.append(_with_block_number(errors, j))
-    before, after = (_together(own_errors) for own_errors in block_errors)
+            own_errors += [  # as of one block of that number
+                (name, horizon, replace(e, block=np.full_like(e.block, j)))
+                for name, by_horizon in errors.items()
+                for horizon, e in by_horizon.items()
+            ]
+    before, after = map(joined_errors, block_errors)
     return before, after
-
-
-def _with_block_number(errors: Errors, block: int) -> Errors:
-    """As of one block of that number."""
-    return {
-        name: {h: replace(e, block=np.full_like(e.block, block)) for h, e in by_horizon.items()}
-        for name, by_horizon in errors.items()
-    }
-
-
-def _together(errors: Sequence[Errors]) -> Errors:
-    errors_by_channel: dict[str, dict[float, list[HorizonErrors]]] = {}
-    for one in errors:
-        for name, by_horizon in one.items():
-            for horizon, e in by_horizon.items():
-                errors_by_channel.setdefault(name, {}).setdefault(horizon, []).append(e)
-    return {
-        name: {horizon: join_errors(parts) for horizon, parts in by_horizon.items()}
-        for name, by_horizon in errors_by_channel.items()
-    }
 
 
 @dataclass(frozen=True)
