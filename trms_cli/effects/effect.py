@@ -221,10 +221,7 @@ class Effect(ABC):
     ) -> ca.SX:
         """Memory of the sensors after a part of the step; see :meth:`Model.sensor_path`.
 
-        Parameters
-        ----------
-        before, after : (n_y, 1)
-            What the sensors beneath read at the beginning and the end of the part.
+        ``before``, ``after``: (n_y, 1), what the sensors beneath read at its beginning and end.
         """
         return at.sensor_memory
 
@@ -274,19 +271,9 @@ class SensorEffect(Effect):
     ) -> FloatArray | None:
         """The inverse of the effect: what the channel shows without it; None: there is none.
 
-        Parameters
-        ----------
-        recorded : (n,) array
-            Of the channel, in its unit, NaN where missing.
-        step : float
-            s, between samples.
-        sizes : mapping
-            Values of :meth:`parameters`.
-
-        Returns
-        -------
-        (n,) array or None
-            NaN where the recording does not tell.
+        An (n,) array, NaN where the recording does not tell. ``recorded``: (n,) array, of the
+        channel, in its unit, NaN where missing. ``step``: s, between samples. ``sizes``: values of
+        :meth:`parameters`.
         """
         return None
 

@@ -24,7 +24,7 @@ from trms_cli.core.data_file import not_as_written, recorded_bytes, unreadable
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.mat_structure import USUAL_MOST, is_level_5, plain_variables
 from trms_cli.recordings.channels import CHANNELS, Vocabulary, reference_of, to_si
-from trms_cli.recordings.recording import Recording, require_channels, require_values
+from trms_cli.recordings.recording import Recording, refuse, require_channels, require_values
 
 if TYPE_CHECKING:
     from trms_cli.recordings.log_reader import TopicTable
@@ -49,7 +49,7 @@ def _recording(path: Path, variables: dict[str, Any], vocabulary: Vocabulary | N
         return _of_topics(path, variables, vocabulary)
     units = variables.get("units", {})
     if not isinstance(units, dict):
-        raise RecordingError("'units' is not a struct", where=str(path), remedy="units.t = 's'")
+        refuse(path, "'units' is not a struct", "units.t = 's'")
     metadata = {name: value for name, value in variables.items() if isinstance(value, str)}
     where, columns = str(path), [name for name in variables if name != "units"]
     vocabulary = vocabulary or Vocabulary.declared(metadata, columns, where)
@@ -87,12 +87,9 @@ def _channels(
             continue
         vector = _vector(path, f"{dot}{name}", struct[name])
         if len(vector) != samples:
-            raise RecordingError(
-                f"{dot + name!r} has {len(vector)} samples, "
-                f"{f'{dot}time' if topic else 't'} has {samples}",
-                where=str(path),
-                remedy="give each channel a value per time, NaN where it is missing",
-            )
+            problem = f"{dot + name!r} has {len(vector)} samples, "
+            problem += f"{f'{dot}time' if topic else 't'} has {samples}"
+            refuse(path, problem, "give each channel a value per time, NaN where it is missing")
         unit = str(units.get(name, channel.units[0] if channel.units else "1"))
         key = name if topic else own
         columns[key], si_units[key] = to_si(
@@ -131,14 +128,11 @@ def _table(path: Path, topic: str, struct: Any) -> TopicTable:
     from trms_cli.recordings.log_reader import TopicTable
 
     if not isinstance(struct, dict) or "time" not in struct:
-        raise RecordingError(
-            f"{topic!r} is not a struct with a time",
-            where=str(path),
-            remedy=f"{topic}.time and the channels beside it, as trms export writes them",
-        )
+        remedy = f"{topic}.time and the channels beside it, as trms export writes them"
+        refuse(path, f"{topic!r} is not a struct with a time", remedy)
     units = struct.get("units", {})
     if not isinstance(units, dict):
-        raise RecordingError(f"'{topic}.units' is not a struct", where=str(path), remedy=_REMEDY)
+        refuse(path, f"'{topic}.units' is not a struct", _REMEDY)
     time = _vector(path, f"{topic}.time", struct["time"])
     _check_time(path, time, f"{topic}.time")
     names = {
@@ -180,33 +174,21 @@ def _variables(path: Path) -> dict[str, Any]:
 def _vector(path: Path, name: str, value: Any) -> np.ndarray:
     array = np.atleast_1d(np.squeeze(np.asarray(value)))
     if array.ndim != 1 or array.dtype.kind not in "fiub":
-        raise RecordingError(
-            f"{name!r} is not a vector of numbers (shape {array.shape})",
-            where=str(path),
-            remedy=_REMEDY,
-        )
+        refuse(path, f"{name!r} is not a vector of numbers (shape {array.shape})", _REMEDY)
     vector = array.astype(float)
     infinite = np.flatnonzero(np.isinf(vector))
     if len(infinite):
-        raise RecordingError(
-            f"{name}({infinite[0] + 1}) is not finite",
-            where=str(path),
-            remedy="put NaN where a sample is missing",
-        )
+        problem = f"{name}({infinite[0] + 1}) is not finite"
+        refuse(path, problem, "put NaN where a sample is missing")
     return vector
 
 
 def _check_time(path: Path, time: np.ndarray, name: str = "t") -> None:
     if len(time) < 2:
-        raise RecordingError(
-            "there is a single sample", where=str(path), remedy="a recording needs two or more"
-        )
+        refuse(path, "there is a single sample", "a recording needs two or more")
     wrong = np.flatnonzero(~(np.diff(time) > 0))
     if len(wrong):
         index = int(wrong[0]) + 1
-        raise RecordingError(
-            f"time does not rise at {name}({index + 1}): {time[index]:.9g} s after "
-            f"{time[index - 1]:.9g} s",
-            where=str(path),
-            remedy="sort the samples and keep one per time; NaN is no time",
-        )
+        problem = f"time does not rise at {name}({index + 1}): {time[index]:.9g} s after "
+        problem += f"{time[index - 1]:.9g} s"
+        refuse(path, problem, "sort the samples and keep one per time; NaN is no time")

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -170,6 +170,11 @@ def quantum(values: np.ndarray) -> float | None:
     step = float(counts @ (levels - levels[0]) / (counts @ counts))
     off_grid = np.abs(levels - levels[0] - step * np.round((levels - levels[0]) / step))
     return step if float(np.max(off_grid)) < 0.25 * step else None
+
+
+def refuse(where: Path | str, problem: str, remedy: str = "") -> NoReturn:
+    """Raise RecordingError of a file, or of a line in it."""
+    raise RecordingError(problem, where=str(where), remedy=remedy)
 
 
 #: How a file's own names are told.
