@@ -221,7 +221,10 @@ class Effect(ABC):
     ) -> ca.SX:
         """Memory of the sensors after a part of the step; see :meth:`Model.sensor_path`.
 
-        ``before``, ``after``: (n_y, 1), what the sensors beneath read at its beginning and end.
+        Parameters
+        ----------
+        before, after : (n_y, 1)
+            What the sensors beneath read at the beginning and the end of the part.
         """
         return at.sensor_memory
 
@@ -271,9 +274,19 @@ class SensorEffect(Effect):
     ) -> FloatArray | None:
         """The inverse of the effect: what the channel shows without it; None: there is none.
 
-        An (n,) array, NaN where the recording does not tell. ``recorded``: (n,) array, of the
-        channel, in its unit, NaN where missing. ``step``: s, between samples. ``sizes``: values of
-        :meth:`parameters`.
+        Parameters
+        ----------
+        recorded : (n,) array
+            Of the channel, in its unit, NaN where missing.
+        step : float
+            s, between samples.
+        sizes : mapping
+            Values of :meth:`parameters`.
+
+        Returns
+        -------
+        (n,) array or None
+            NaN where the recording does not tell.
         """
         return None
 

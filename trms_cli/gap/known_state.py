@@ -221,14 +221,14 @@ def known_state(
         references = (whole.part(0, half), whole.part(half, len(whole)))
     runs = ShortRuns(model, references)
     deviation, sd = np.zeros(len(free)), np.ones(len(free))
-    for _ in range(_ROUNDS):
+    for remaining in reversed(range(_ROUNDS + 1)):
         fitted_model = with_values(model, _values(free, deviation))
         forces = runs.forces(fitted_model.parameters.values)
         slopes = _slopes(runs, fitted_model, free, forces)
         series = _series(runs, forces, slopes, deviation)
-        errors = tuple(
-            StandingError.fit(s, _scale(s, deviation, free), sessions) for e, s in enumerate(series)
-        )
+        errors = tuple(StandingError.fit(s, _scale(s, deviation, free), sessions) for s in series)
+        if not remaining:
+            break
         total, right = np.eye(len(free)), np.zeros(len(free))
         for error in errors:
             reference = error.reference
@@ -243,13 +243,6 @@ def known_state(
         deviation = _clip_to_bounds(
             free, deviation + step * min(1.0, _LONGEST / max(np.abs(step).max(initial=0.0), 1e-12))
         )
-    fitted_model = with_values(model, _values(free, deviation))
-    forces = runs.forces(fitted_model.parameters.values)
-    slopes = _slopes(runs, fitted_model, free, forces)
-    errors = tuple(
-        StandingError.fit(s, _scale(s, deviation, free), sessions)
-        for e, s in enumerate(_series(runs, forces, slopes, deviation))
-    )
     return KnownState(fitted_model, free, deviation, sd, errors, runs)
 
 

@@ -198,11 +198,8 @@ def require_channels(
         (vocabulary.of_role(names, "output"), "an output", outputs),
     ):
         if not there:
-            raise RecordingError(
-                f"it lacks {what}; it has {', '.join((*names, *others)) or 'nothing'}",
-                where=where,
-                remedy=remedy + (f"; {_NAMES}" if others else ""),
-            )
+            problem = f"it lacks {what}; it has {', '.join((*names, *others)) or 'nothing'}"
+            refuse(where, problem, remedy + (f"; {_NAMES}" if others else ""))
 
 
 def require_values(channels: Mapping[str, np.ndarray], where: str, vocabulary: Vocabulary) -> None:
@@ -210,11 +207,8 @@ def require_values(channels: Mapping[str, np.ndarray], where: str, vocabulary: V
     for role in ("input", "output"):
         mine = vocabulary.of_role(channels, role)
         if all(np.isnan(channels[name]).all() for name in mine):
-            raise RecordingError(
-                f"no {role} has a single value: {', '.join(mine)} are empty throughout",
-                where=where,
-                remedy=f"at least one {role} needs numbers",
-            )
+            problem = f"no {role} has a single value: {', '.join(mine)} are empty throughout"
+            refuse(where, problem, f"at least one {role} needs numbers")
 
 
 def unit_fields(units: Mapping[str, str]) -> dict[str, str]:
