@@ -162,7 +162,7 @@ def write_recorded(
 
     Raises RecordingError if a run failed, or the file cannot be written: the old one stays.
     """
-    from trms_cli.recordings.output_file import whole_file
+    from trms_cli.core.whole_file import whole_file
 
     for outcome in outcomes:
         if outcome.score is None:

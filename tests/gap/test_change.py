@@ -6,19 +6,18 @@ import numpy as np
 import pytest
 
 from trms_cli.composition.composer import compose
-from trms_cli.effects.coulomb_friction import CoulombFriction
-from trms_cli.effects.rotor_reaction import RotorReaction
+from trms_cli.effects.forces import CoulombFriction
+from trms_cli.effects.rotors import RotorReaction
 from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence, coarser_sensors, judge
 from trms_cli.gap.findings import headline
-from trms_cli.gap.known_state import KnownState, known_state
+from trms_cli.gap.known_state import ForceSeries, KnownState, StandingError, known_state
 from trms_cli.gap.onset import diagnose_onset
 from trms_cli.gap.problem import GapProblem, applicable_candidates
 from trms_cli.gap.short_runs import ShortRuns
-from trms_cli.gap.standing import ForceSeries, StandingError
 from trms_cli.gap.unnamed_force import law_evidence, with_random_torque
 from trms_cli.gap.wording import cause_name
 from trms_cli.library.tasks.diagnose import applied_cause

@@ -18,8 +18,8 @@ from trms_cli.gap.competing_model import Refit, refit
 from trms_cli.gap.diagnosis import NextExperiment
 from trms_cli.gap.diagnosis_result import _kin
 from trms_cli.gap.experiments import experiments
-from trms_cli.gap.next_experiment import advise
-from trms_cli.gap.predicted_recording import (
+from trms_cli.gap.next_experiment import (
+    advise,
     between,
     predicted_recordings,
     signatures,

@@ -14,7 +14,6 @@ import pytest
 from trms_cli.composition.catalogue import read_yaml
 from trms_cli.core.chart import Bars, RigDiagram
 from trms_cli.core.findings import Datum, Findings, Table, plain
-from trms_cli.effects.places import all_places
 from trms_cli.gap.diagnosis import (
     Cause,
     DiagnosisResult,
@@ -32,6 +31,7 @@ from trms_cli.gap.findings import findings
 from trms_cli.gap.sentence import sentence
 from trms_cli.gap.shrinkage import Shrinkage
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.rig_parts import diagram_rows, parts_of
 from trms_cli.reporting.page import page_html
 from trms_cli.reporting.rig_diagram import diagram
 
@@ -306,7 +306,7 @@ def rig_diagram(where, channels=()) -> RigDiagram:
 
 class TestDiagram:
     def test_every_place_has_its_share(self) -> None:
-        places = all_places(Newtonian())
+        places = [p for row in diagram_rows(parts_of(Newtonian())) for p in row.places.values()]
         where = [
             LocationShare(location=name, share=0.07 * i, ci95=(0.05 * i, 0.08 * i))
             for i, name in enumerate(places)

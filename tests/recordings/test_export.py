@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import loadmat
 
+from trms_cli.core import whole_file
 from trms_cli.core.errors import ConfigurationError, RecordingError
-from trms_cli.recordings import output_file
 from trms_cli.recordings.export import export_log
 from trms_cli.recordings.log_reader import LoggedRun, read_log
 from trms_cli.recordings.read import read_recording
@@ -110,7 +110,7 @@ def test_never_half_and_never_over(tmp_path, log, format_, monkeypatch) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr(output_file.os, "replace", full)
+        patch.setattr(whole_file.os, "replace", full)
         with pytest.raises(RecordingError, match="no room"):
             export_log(log, out, format_, force=True)
     assert out.read_text() == "mine"

@@ -127,7 +127,7 @@ def test_a_file_that_many_write_is_always_one_of_theirs(tmp_path: Path) -> None:
 
 _LINK = """
 from trms_cli.core.errors import TrmsError
-from trms_cli.recordings.output_file import whole_file
+from trms_cli.core.whole_file import whole_file
 begin()
 try:
     with whole_file(Path(sys.argv[1])) as temporary:

@@ -126,7 +126,7 @@ def test_a_namesake_in_a_folder_replaces_nothing(lab: Path) -> None:
         "trms_cli.runs.run_folder.new_folder",
         "trms_cli.library.tasks.git_revision.subprocess",
         "trms_cli.recordings.run_log.RunLog",
-        "trms_cli.recordings.output_file.whole_file",
+        "trms_cli.core.whole_file.whole_file",
         "trms_cli.identification.population.Journal",
         *("trms_cli.cli.main", "trms_cli.__main__.main", "trms_cli", ".os.system", ""),
         "trms_cli.core.compilation.compiled_source",

@@ -125,8 +125,8 @@ def _add_scene(log: LoggedRun, out: Path, *, force: bool) -> int:
 
 
 def _write_layout(path: Path, *, force: bool) -> None:
+    from trms_cli.core.whole_file import whole_file
     from trms_cli.recordings.foxglove.types import layout
-    from trms_cli.recordings.output_file import whole_file
 
     with whole_file(path, force=force) as temporary:
         temporary.write_bytes(layout())

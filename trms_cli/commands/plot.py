@@ -198,7 +198,7 @@ def _plot(
 
 def write_all(files: Sequence[tuple[Path, bytes]], *, force: bool) -> None:
     """Write files, each whole or not at all, and none if one of them exists already."""
-    from trms_cli.recordings.output_file import refuse_overwrite, whole_file
+    from trms_cli.core.whole_file import refuse_overwrite, whole_file
 
     for path, _ in files:
         if not force:

@@ -106,7 +106,7 @@ def main(argv: list[str]) -> int:
 
 
 def _write_baseline(path: Path, score: dict[str, Any], reason: str, *, force: bool) -> None:
-    from trms_cli.recordings.output_file import whole_file
+    from trms_cli.core.whole_file import whole_file
     from trms_cli.scoring.baseline import Baseline
 
     text = json.dumps(Baseline(score, reason=reason).document(), indent=2, ensure_ascii=False)

@@ -35,12 +35,7 @@ from trms_cli.models.black_box import kind_of_file
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian_with_network import KEY as TORQUE_NETWORK
 from trms_cli.models.newtonian_with_network import NewtonianWithNetwork
-from trms_cli.models.parameters import (
-    ParameterFile,
-    ParameterSet,
-    check_limits,
-    parameter_file,
-)
+from trms_cli.models.parameters import ParameterFile, ParameterSet, check_limits, parameter_file
 
 #: Kinds of black box, and the key by which a file of each is known.
 _BLACK_BOXES = {narx_file.KIND: "network", linear_file.KIND: "state_space"}
@@ -55,18 +50,12 @@ def load_model(
 ) -> Model:
     """The model that a file describes, with its effects.
 
+    ``path``: a YAML file. ``parameters``: other values for some parameters (``k_fvp``) or sizes
+    (``yaw_coulomb_friction.torque``, or nested as a command line has it). ``rig``: what a run
+    simulates in the place of the model; it means nothing here.
+
     Raises ConfigurationError if there is no such file, or ``parameters`` names none or is out of
     range. Raises ModelError if the file's content does not fit; it names the file and the key.
-
-    Parameters
-    ----------
-    path : str
-        A YAML file.
-    parameters : mapping
-        Other values for some parameters (``k_fvp``) or sizes (``yaw_coulomb_friction.torque``, or
-        nested as a command line has it).
-    rig : Model, optional
-        What a run simulates in the place of the model; it means nothing here.
     """
     kind = kind_of_file(path, _BLACK_BOXES)
     if kind == narx_file.KIND:

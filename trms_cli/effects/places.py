@@ -25,17 +25,6 @@ def sensor_place(model: Model, name: str) -> str:
     return f"{rotors[name]}_tacho" if name in rotors else f"{axes.get(name, name)}_sensor"
 
 
-def all_places(model: Model) -> tuple[str, ...]:
-    """All places that a model has, from its commands to its sensors."""
-    thrusting = [rotor for rotor, own in model.rotors.items() if own.axis in model.axes]
-    return (
-        *(actuator_place(model, name) for name in names(model.inputs)),
-        *names(model.disturbances),
-        *(f"{rotor}_thrust" for rotor in thrusting),
-        *(sensor_place(model, name) for name in names(model.outputs)),
-    )
-
-
 def places_of(model: ExtendedModel) -> tuple[str, ...]:
     """Where the effect acts that a model has last.
 

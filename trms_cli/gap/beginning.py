@@ -337,21 +337,9 @@ def later_and_better(
 ) -> Mapping[str, tuple[int, int]]:
     """Effects that promise more from some window on than anything does throughout.
 
-    Parameters
-    ----------
-    gains : (k, m) array
-        Of :func:`promised_beginnings`.
-    names : tuple of str
-        Of the effect of each row.
-    more : float
-        Nats by which.
-    count : int
-        Effects at most.
-
-    Returns
-    -------
-    mapping
-        By name, the most promising first: the row of its trace, and the window.
+    By name, the most promising first: the row of its trace, and the window. ``gains``: (k, m)
+    array, of :func:`promised_beginnings`. ``names``: of the effect of each row. ``more``: nats by
+    which. ``count``: effects at most.
     """
     throughout = float(gains[:, 0].max(initial=0.0))
     beginnings: dict[str, tuple[int, int]] = {}

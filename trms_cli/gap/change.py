@@ -27,16 +27,13 @@ from trms_cli.gap.belief import (
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.differences import NewRecordings, differences
 from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, coarser_sensors, judge
-from trms_cli.gap.known_state import KnownState, known_state
+from trms_cli.gap.known_state import KnownState, StandingError, known_state
 from trms_cli.gap.problem import (
     CandidateEffect,
     GapProblem,
     applicable_candidates,
-    thin_dataset,
-    with_noise,
-    without_contacts,
+    comparable_datasets,
 )
-from trms_cli.gap.standing import StandingError
 from trms_cli.gap.unnamed_force import law_evidence, with_random_torque
 from trms_cli.identification.dataset import Dataset
 
@@ -76,13 +73,8 @@ def compare(
 
     ``watch``: told the share that is done and what is being done.
     """
-    against, recordings = (
-        [
-            without_contacts(thin_dataset(with_noise(d)), problem.block, problem.model.stops)
-            for d in datasets
-        ]
-        for datasets in (problem.against, problem.datasets)
-    )
+    against = comparable_datasets(problem, problem.against)
+    recordings = comparable_datasets(problem, problem.datasets)
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)
     watch(0.0, "the known state")
     return compare_with(

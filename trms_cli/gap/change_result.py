@@ -8,9 +8,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trms_cli.core.wording import gap_share, listing, number, readable
-from trms_cli.effects.constant_torque import ConstantTorque
+from trms_cli.effects.forces import ConstantTorque
 from trms_cli.gap.change import StateComparison
-from trms_cli.gap.change_shrinkage import change_shrinkage, stand_in
 from trms_cli.gap.diagnosis import (
     Cause,
     DiagnosisResult,
@@ -25,7 +24,7 @@ from trms_cli.gap.diagnosis import (
     Verdict,
 )
 from trms_cli.gap.evidence import DifferenceScore
-from trms_cli.gap.moved_parameters import WORTH_TELLING, change_in_words
+from trms_cli.gap.moved_parameters import WORTH_TELLING, moved_parameter
 from trms_cli.gap.problem import (
     GapProblem,
     diagnosed_recordings,
@@ -33,7 +32,7 @@ from trms_cli.gap.problem import (
     poor_excitation,
     recorded_values,
 )
-from trms_cli.gap.shrinkage import Shrinkage
+from trms_cli.gap.shrinkage import Shrinkage, change_shrinkage, stand_in
 from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
 from trms_cli.models.rig_parts import diagram_rows, parts_of
 from trms_cli.models.scales import port_scale
@@ -322,19 +321,10 @@ def _moved_parameters(comparison: StateComparison, tilt: float) -> tuple[MovedPa
     model = comparison.questioned.known_state.model
     parameters = []
     for j, p in rows:
-        if p / total < 0.02:
-            continue
-        name, change, sd = j.difference.name, float(j.value[0]), float(j.sd[0])
-        parameters.append(
-            MovedParameter(
-                parameter=name,
-                probability=p / total,
-                change=change,
-                sd=sd,
-                unit=j.difference.units[0],
-                words=change_in_words(model, model.parameters[name], change, tilt, sd),
-            )
-        )
+        if p / total >= 0.02:
+            parameter = model.parameters[j.difference.name]
+            change = float(j.value[0]), float(j.sd[0])
+            parameters.append(moved_parameter(model, parameter, p / total, *change, tilt))
     return tuple(sorted(parameters, key=lambda m: -m.probability))
 
 
@@ -351,11 +341,7 @@ def _rejected(comparison: StateComparison) -> tuple[Rejected, ...]:
             reason = f"it explains the difference worse by {number(behind)} nats"
         elif gain > 0:
             reason = "it explains the difference as well, by a kind of cause that is less usual"
-        rows.append(
-            Rejected(
-                effect=j.difference.name, score=gain, size=size, upper_bound=None, reason=reason
-            )
-        )
+        rows.append(Rejected(effect=j.difference.name, score=gain, size=size, reason=reason))
     judged_names = {j.difference.name for j in comparison.judged}
     unjudged = {
         name: "no simulation with it stays finite"
@@ -364,11 +350,8 @@ def _rejected(comparison: StateComparison) -> tuple[Rejected, ...]:
         for name, candidate in comparison.candidates.items()
         if name not in judged_names
     }
-    rows += [
-        Rejected(effect=name, score=None, size=None, upper_bound=None, reason=why)
-        for name, why in {**unjudged, **comparison.left_out}.items()
-    ]
-    return tuple(rows)
+    others = {**unjudged, **comparison.left_out}
+    return (*rows, *(Rejected(effect=name, reason=why) for name, why in others.items()))
 
 
 def _race(comparison: StateComparison) -> tuple[RaceEntry, ...]:

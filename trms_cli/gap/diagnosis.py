@@ -115,9 +115,9 @@ class Rejected:
     """A suspect that is not the answer, and why not."""
 
     effect: str  #: its name
-    score: float | None  #: held-out nats above the refitted model; None: not fitted
-    size: SizeEstimate | None  #: of its first size, where it was fitted
-    upper_bound: float | None  #: the first size lies below it with 95 %, in its unit
+    score: float | None = None  #: held-out nats above the refitted model; None: not fitted
+    size: SizeEstimate | None = None  #: of its first size, where it was fitted
+    upper_bound: float | None = None  #: the first size lies below it with 95 %, in its unit
     reason: str  #: in words
     unit: str = ""  #: of the first size, SI
 

@@ -89,15 +89,15 @@ def result_of(stages: StageResults) -> DiagnosisResult:
     where: tuple[LocationShare, ...] = ()
     region: list[RegionShare] = []
     words: tuple[str, ...] = ()
+    flexible = posterior.flexible
     if posterior.verdict not in ("no_gap", "parameters_only"):
         where = _where(stages)
         main = [w.location for w in where[:2] if w.location in stages.forces]
         force_shares = {k: v for k, v in stages.place.share().items() if k in stages.forces}
         for location in main or sorted(force_shares, key=lambda k: -force_shares[k])[:1]:
             region += regions(stages.forces[location])
-            words = words or description(
-                stages.forces[location], _foretold_share(posterior, location)
-            )
+            foretold = flexible.foretold if flexible and flexible.location == location else None
+            words = words or description(stages.forces[location], foretold)
     residual, law = _residual(stages)
     words = (*law, *words)
     unseen = _not_testable(stages)
@@ -147,19 +147,6 @@ def result_of(stages: StageResults) -> DiagnosisResult:
     )
 
 
-def _foretold_share(posterior: Posterior, location: str) -> float | None:
-    """Share of an equation's missing force that the residual without a name foretells."""
-    flexible = posterior.flexible
-    if flexible is None or flexible.location != location:
-        return None
-    return flexible.foretold
-
-
-def _residual_places(posterior: Posterior) -> tuple[str, ...]:
-    """Where the residual without a name acts, if the corrected model has it."""
-    return () if posterior.stand_in is None else posterior.stand_in.places
-
-
 def _residual(stages: StageResults) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
     """What the corrected model has in place of a named cause, and the short law that is closest."""
     flexible, race = stages.posterior.stand_in, stages.race
@@ -174,7 +161,8 @@ def _where(stages: StageResults) -> tuple[LocationShare, ...]:
     place, posterior, candidates = stages.place, stages.posterior, stages.candidates
     random = np.random.default_rng(np.random.SeedSequence([stages.problem.seed, 1]))
     m = place.together.size
-    residual = _residual_places(posterior)
+    # where what has no name acts, if the corrected model has it
+    residual = () if posterior.stand_in is None else posterior.stand_in.places
     contributions = {n: _contributions(n, stages.race) for n in posterior.probabilities}
     whole = _shares(posterior.probabilities, place.share(), candidates, residual, contributions)
     resampled_shares = [
@@ -315,44 +303,27 @@ def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
     most = max(features.behind, float(np.max(finite, initial=0.0)), 1e-9)
 
     def row(
-        effects: tuple[str, ...], predictive: FloatArray, largest_move: float, **more: Any
+        effects: tuple[str, ...], predictive: FloatArray, moved: float, **more: Any
     ) -> RaceEntry:
         apart = predictive - own
         error = np.std(apart, ddof=1) * np.sqrt(len(apart)) if len(apart) > 1 else 0.0
-        entry_fields = {"explained": 0.0, **more}
-        return RaceEntry(
-            effects=effects,
-            score=float(apart.sum()),
-            se=float(error),
-            moved=largest_move,
-            **entry_fields,
-        )
+        explained = float(np.clip(apart.sum() / most, 0.0, 1.0))
+        gain = {"score": float(apart.sum()), "se": float(error), "explained": explained}
+        return RaceEntry(effects=effects, moved=moved, **{**gain, **more})
 
-    largest_move = _largest_move(race, refit)
-    rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=largest_move)]
+    def move(entry: FittedModel) -> float:
+        return max(_moves(race, entry).values(), default=0.0)
+
+    rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=move(refit))]
     if refit.raw.evidence is not None:
-        rows.append(row(("no_gap",), refit.raw.predictive, 0.0))
+        rows.append(row(("no_gap",), refit.raw.predictive, 0.0, explained=0.0))
     if (flexible := stages.posterior.flexible) is not None:
-        predictive = flexible.fitted.fit.predictive
-        explained = float(np.clip((predictive - own).sum() / most, 0.0, 1.0))
-        rows.append(
-            row(
-                ("flexible",), predictive, _largest_move(race, flexible.fitted), explained=explained
-            )
-        )
+        fitted = flexible.fitted
+        rows.append(row(("flexible",), fitted.fit.predictive, move(fitted)))
     for entry in race.entries:
-        if entry.fit.evidence is None or not np.isfinite(entry.fit.predictive).all():
-            continue
-        explained = float(np.clip((entry.fit.predictive - own).sum() / most, 0.0, 1.0))
-        rows.append(
-            row(
-                entry.names,
-                entry.fit.predictive,
-                _largest_move(race, entry),
-                explained=explained,
-                parameters=_sizes(entry),
-            )
-        )
+        if entry.fit.evidence is not None and np.isfinite(entry.fit.predictive).all():
+            sizes = _sizes(entry)
+            rows.append(row(entry.names, entry.fit.predictive, move(entry), parameters=sizes))
     return tuple(sorted(rows, key=lambda row: -row.score))
 
 
@@ -364,10 +335,6 @@ def _moves(race: Race, entry: FittedModel) -> dict[str, float]:
         for i, free in enumerate(entry.structure.problem.free)
         if free.name in own and free.prior_sd
     }
-
-
-def _largest_move(race: Race, entry: FittedModel) -> float:
-    return max(_moves(race, entry).values(), default=0.0)
 
 
 def _detectable(stages: StageResults) -> dict[str, Detectable]:

@@ -9,17 +9,12 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.effects.quantisation import Quantisation
+from trms_cli.effects.sensors import Quantisation
 from trms_cli.gap.diagnosis import Onset
-from trms_cli.gap.differences import (
-    Difference,
-    DifferenceFamily,
-    NewRecordings,
-    SensorJump,
-)
+from trms_cli.gap.differences import Difference, DifferenceFamily, NewRecordings, SensorJump
+from trms_cli.gap.known_state import robust, robust_weight
 from trms_cli.gap.problem import CandidateEffect, is_coarser, quantum_of
 from trms_cli.gap.short_runs import ShortRuns
-from trms_cli.gap.standing import robust, robust_weight
 from trms_cli.models.model import names
 
 

@@ -90,21 +90,17 @@ def _race(diagnosis: DiagnosisResult) -> report.Section | None:
 
 def _race_words(diagnosis: DiagnosisResult) -> str:
     """Who won, by how much, and whether a force without a name did better."""
-    best = _winner(diagnosis)
+    best, compared = _winner(diagnosis), compared_with_a_state(diagnosis)
     if best is None:
         return "No candidate ran."
     name = cause_name(best.effects)
-    if compared_with_a_state(diagnosis):
+    text = f"{name[0].upper()}{name[1:]} "
+    if compared:
         way = "more" if best.score >= 0 else "less"
-        text = (
-            f"{name[0].upper()}{name[1:]} is {abs(best.score):.0f} nats {way} probable, by what is "
-            "recorded, than that nothing changed."
-        )
+        text += f"is {abs(best.score):.0f} nats {way} probable, by what is recorded, than that "
+        text += "nothing changed."
     else:
-        text = (
-            f"{name[0].upper()}{name[1:]} foretells held-out blocks {_apart(best)} than the "
-            "refitted model."
-        )
+        text += f"foretells held-out blocks {_apart(best)} than the refitted model."
     others = [e for e in diagnosis.race if _is_effect(e.effects) and e is not best]
     second = max(others, key=lambda entry: entry.score, default=None)
     if second is not None:
@@ -114,7 +110,6 @@ def _race_words(diagnosis: DiagnosisResult) -> str:
         elif lead > 0:
             text += f" Next is {name}, {lead:.0f} nats below."
         else:
-            compared = compared_with_a_state(diagnosis)
             why = "was less to be expected" if compared else "has more to adjust"
             text += f" Above it is {name} by {-lead:.0f} nats, which {why}."
     flexible = next((e for e in diagnosis.race if tuple(e.effects) == ("flexible",)), None)
@@ -147,13 +142,8 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
     entries = sorted((e for e in diagnosis.race if np.isfinite(e.score)), key=lambda e: -e.score)
     bar_entries = entries[:_MOST_BARS]
     bar_entries += [e for e in entries[_MOST_BARS:] if not _is_effect(e.effects)]
-    best = _winner(diagnosis)
-    first = likeliest(diagnosis)
-    alike = (
-        {cause.effects for cause in confusable_with(first, diagnosis)}
-        if first is not None
-        else set()
-    )
+    best, first = _winner(diagnosis), likeliest(diagnosis)
+    alike = {cause.effects for cause in (confusable_with(first, diagnosis) if first else ())}
     hardly = _hardly_testable(diagnosis)
     top = max([e.score + (_se(e) if _is_effect(e.effects) else 0.0) for e in bar_entries] + [1.0])
     low = min(0.0, max(min((e.score for e in bar_entries), default=0.0), -0.25 * top))
@@ -165,22 +155,22 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
             return "blue"
         return "sky" if entry.effects in alike else "grey"
 
+    def whisker(entry: RaceEntry) -> float:
+        has_one = entry.se is not None and _is_effect(entry.effects) and entry.score >= low
+        return _se(entry) if has_one else np.nan
+
+    def note(entry: RaceEntry) -> str:
+        if entry.effects in alike:
+            return "not significantly different from the best"
+        is_none = entry in hardly.values() and not _beats_no_effect(entry)
+        return "not significantly different from no effect" if is_none else ""
+
     bars = draw.Bars(
         [cause_name(e.effects) if e.effects != ("no_gap",) else "as it was" for e in bar_entries],
         [max(e.score, low) for e in bar_entries],
         [colour(e) for e in bar_entries],
-        [
-            e.se if e.se is not None and _is_effect(e.effects) and e.score >= low else np.nan
-            for e in bar_entries
-        ],
-        [
-            "not significantly different from the best"
-            if e.effects in alike
-            else "not significantly different from no effect"
-            if e in hardly.values() and not _beats_no_effect(e)
-            else ""
-            for e in bar_entries
-        ],
+        [whisker(e) for e in bar_entries],
+        [note(e) for e in bar_entries],
     )
     is_comparison = compared_with_a_state(diagnosis)
     axis = draw.Axis(
@@ -299,12 +289,9 @@ def _gap_tables(diagnosis: DiagnosisResult, corrected: bool) -> tuple[report.Tab
     of_all, heads = "", ["output", _LENGTH, "as it was", "refitted", "floor"]
     if corrected:
         heads = [*heads[:-1], "corrected", "floor", *_CLOSED]
-        caption += (
-            " Closed: of what the refit left above the floor (interval: on another recording)."
-        )
-        of_all = (
-            "Closed: what the correction took from the gap above the floor that the refit left."
-        )
+        above = "above the floor"
+        caption += f" Closed: of what the refit left {above} (interval: on another recording)."
+        of_all = f"Closed: what the correction took from the gap {above} that the refit left."
     rows = [row for row in _gap_rows(diagnosis) if corrected or row["floor"] != ""]
     columns = [report.Column(head, head) for head in heads]
     rows_at_horizon = [row for row in rows if horizon and row[_LENGTH] == f"{float(horizon):g}"]
@@ -330,21 +317,16 @@ def _gap_rows(diagnosis: DiagnosisResult) -> Iterator[dict[str, report.Cell]]:
                 **_closed_cells(diagnosis.shrink.get(channel, {}).get(horizon)),
             }
     for horizon, shrink in diagnosis.shrink.get("all", {}).items():
-        blank = dict.fromkeys(("as it was", "refitted", "corrected", "floor"), "")
-        yield {
-            "output": "all channels",
-            _LENGTH: f"{float(horizon):g}",
-            **blank,
-            **_closed_cells(shrink),
-        }
+        row = dict.fromkeys(("as it was", "refitted", "corrected", "floor"), "")
+        row |= {"output": "all channels", _LENGTH: f"{float(horizon):g}"}
+        yield {**row, **_closed_cells(shrink)}
 
 
 def _closed_cells(shrink: Shrink | None) -> dict[str, report.Cell]:
     if shrink is None or shrink.fraction is None:
         return {_CLOSED[0]: wording.MISSING, _CLOSED[1]: ""}
-    mark: report.Judgement = (
-        "good" if shrink.fraction > 0.5 else "bad" if shrink.fraction < 0 else ""
-    )
+    bad: report.Judgement = "bad" if shrink.fraction < 0 else ""
+    mark: report.Judgement = "good" if shrink.fraction > 0.5 else bad
     ends = "" if shrink.ci95 is None else wording.gap_interval(shrink.ci95)
     return {_CLOSED[0]: report.Datum(wording.gap_share(shrink.fraction), mark), _CLOSED[1]: ends}
 

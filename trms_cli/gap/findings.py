@@ -129,15 +129,10 @@ def _since(diagnosis: DiagnosisResult) -> str:
     if first is None or first.onset is None:
         return ""
     onset = first.onset
-    if onset.ends:
-        return (
-            f"It ends {onset.time_s:.1f} s into the recording "
-            f"({onset.ci95[0]:.1f} to {onset.ci95[1]:.1f} s): from then on the model holds "
-            "without it."
-        )
+    begins, before = ("ends", "from then on") if onset.ends else ("begins", "before,")
     return (
-        f"It begins {onset.time_s:.1f} s into the recording "
-        f"({onset.ci95[0]:.1f} to {onset.ci95[1]:.1f} s): before, the model holds without it."
+        f"It {begins} {onset.time_s:.1f} s into the recording "
+        f"({onset.ci95[0]:.1f} to {onset.ci95[1]:.1f} s): {before} the model holds without it."
     )
 
 
@@ -240,9 +235,8 @@ def _next(diagnosis: DiagnosisResult, folder: Path | None) -> Iterator[report.Ne
 
 
 def _causes(diagnosis: DiagnosisResult) -> report.Section | None:
-    probable_causes = [cause for cause in diagnosis.causes if cause.probability >= LEAST][
-        :_MOST_CAUSES
-    ]
+    probable = [cause for cause in diagnosis.causes if cause.probability >= LEAST]
+    probable_causes = probable[:_MOST_CAUSES]
     if not probable_causes:
         return None
     first = likeliest(diagnosis)
@@ -253,25 +247,18 @@ def _causes(diagnosis: DiagnosisResult) -> report.Section | None:
         return report.Datum(wording.percent(cause.probability), judgement, bar=cause.probability)
 
     rest = sum(cause.probability for cause in diagnosis.causes if cause not in probable_causes)
-    rows = (
-        [*probable_causes, Cause(effects=OTHERS, probability=rest)]
-        if rest >= _REST
-        else probable_causes
-    )
+    rows = [*probable_causes, *[Cause(effects=OTHERS, probability=rest)] * (rest >= _REST)]
     columns = [
         report.Column("cause", lambda cause: cause_name(cause.effects)),
         report.Column("probability", probability),
         report.Column("size", lambda cause: sizes(cause.parameters)),
     ]
-    if any(confusable_with(cause, diagnosis) for cause in probable_causes):
-        columns.append(
-            report.Column(
-                "confusable with",
-                lambda cause: ", ".join(
-                    cause_name(c.effects) for c in confusable_with(cause, diagnosis)
-                ),
-            )
-        )
+
+    def alike(cause: Cause) -> str:
+        return ", ".join(cause_name(c.effects) for c in confusable_with(cause, diagnosis))
+
+    if any(map(alike, probable_causes)):
+        columns.append(report.Column("confusable with", alike))
     return report.Section(
         "Which cause" if len(probable_causes) == 1 else "Which of the causes",
         [
@@ -289,15 +276,16 @@ def _parts(diagnosis: DiagnosisResult) -> list[report.Block]:
     probable_effects = [item for item in diagnosis.inclusion.items() if item[1] >= LEAST]
     columns = [
         report.Column("effect", lambda item: wording.readable(item[0])),
-        report.Column(
-            "part of the answer",
-            lambda item: report.Datum(wording.percent(min(item[1], 1.0)), bar=min(item[1], 1.0)),
-        ),
+        report.Column("part of the answer", lambda item: _with_bar(min(item[1], 1.0))),
     ]
     caption = (
         "Of all answers that hold the effect, alone or with others: these need not sum to one."
     )
     return [report.table(probable_effects, columns, caption)]
+
+
+def _with_bar(probability: float) -> report.Datum:
+    return report.Datum(wording.percent(probability), bar=probability)
 
 
 #: Departures of laws that are listed.
@@ -321,10 +309,7 @@ def _moved_parameters(diagnosis: DiagnosisResult) -> report.Section | None:
         return None
     columns = [
         report.Column("parameter", "parameter"),
-        report.Column(
-            "that it moved",
-            lambda item: report.Datum(wording.percent(item.probability), bar=item.probability),
-        ),
+        report.Column("that it moved", lambda item: _with_bar(item.probability)),
         report.Column("what", "words"),
     ]
     text = (

@@ -38,12 +38,7 @@ from trms_cli.effects.residual import (
     usual_spans,
     variables,
 )
-from trms_cli.gap.competing_model import (
-    FittedModel,
-    Metric,
-    ModelStructure,
-    Refit,
-)
+from trms_cli.gap.competing_model import FittedModel, Metric, ModelStructure, Refit
 from trms_cli.gap.discrepancy import likely_shares
 from trms_cli.gap.force.exogenous import held_out_errors
 from trms_cli.gap.force.laws import ForceRecord

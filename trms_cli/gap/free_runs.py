@@ -10,7 +10,7 @@ and would bend them where it is wrong, by half of the history times what the acc
 Errors stay apart by start, with the block that a start lies in, so that blocks can be resampled.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
@@ -77,7 +77,7 @@ def free_run_errors(
     """
     step = datasets[0].sample_time
     rollout = rollout or Rollout(model, step, jobs=jobs)
-    errors_by_channel: dict[str, dict[float, list[HorizonErrors]]] = {}
+    errors: list[tuple[str, float, HorizonErrors]] = []
     blocks = 0
     for number, spans in groupby(sorted(parts), key=lambda part: part[0]):
         dataset = datasets[number]
@@ -103,12 +103,9 @@ def free_run_errors(
                 is_measured = ~np.isnan(column)
                 if not is_measured.any():  # a sensor that died before
                     continue
-                errors = HorizonErrors(column[is_measured], block_of[inside][is_measured])
-                errors_by_channel.setdefault(name, {}).setdefault(horizon, []).append(errors)
-    return {
-        name: {horizon: join_errors(parts_) for horizon, parts_ in of_channel.items()}
-        for name, of_channel in errors_by_channel.items()
-    }
+                own = HorizonErrors(column[is_measured], block_of[inside][is_measured])
+                errors.append((name, horizon, own))
+    return joined_errors(errors)
 
 
 def start_states(model: Model, rollout: Rollout, dataset: Dataset, first: IntArray) -> FloatArray:
@@ -220,11 +217,18 @@ def _near(anchors: IntArray, begin: IntArray, samples: int) -> BoolArray:
     return np.abs(begin[after] - anchors) <= 2 * samples
 
 
-def join_errors(errors: Sequence[HorizonErrors]) -> HorizonErrors:
-    """Of several parts of one channel at one horizon."""
-    return HorizonErrors(
-        np.concatenate([e.squared for e in errors]), np.concatenate([e.block for e in errors])
-    )
+def joined_errors(
+    parts: Iterable[tuple[str, float, HorizonErrors]],
+) -> dict[str, dict[float, HorizonErrors]]:
+    """By channel and horizon, of parts with these."""
+    joined: dict[str, dict[float, HorizonErrors]] = {}
+    for name, horizon, own in parts:
+        of_channel = joined.setdefault(name, {})
+        if (before := of_channel.get(horizon)) is not None:
+            squared = np.concatenate([before.squared, own.squared])
+            own = HorizonErrors(squared, np.concatenate([before.block, own.block]))
+        of_channel[horizon] = own
+    return joined
 
 
 def _prior_sd(model: Model, step: float) -> FloatArray:

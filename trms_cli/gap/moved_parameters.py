@@ -80,17 +80,23 @@ def moved_parameters(
         # the parabola knows no bounds
         value = parameter.value + float(moves.mean[k] * scales[i])
         change = float(np.clip(value, free[i].lower, free[i].upper)) - parameter.value
-        parameters.append(
-            MovedParameter(
-                parameter=parameter.name,
-                probability=float(moves.probability[k]),
-                change=change,
-                sd=float(moves.sd[k] * scales[i]),
-                unit=parameter.unit,
-                words=change_in_words(model, parameter, change, tilt, moves.sd[k] * scales[i]),
-            )
-        )
+        probability, sd = float(moves.probability[k]), float(moves.sd[k] * scales[i])
+        parameters.append(moved_parameter(model, parameter, probability, change, sd, tilt))
     return tuple(sorted(parameters, key=lambda item: -item.probability))
+
+
+def moved_parameter(
+    model: Model, parameter: Parameter, probability: float, change: float, sd: float, tilt: float
+) -> MovedParameter:
+    """A parameter that may have moved, with its change (in its unit) in words."""
+    return MovedParameter(
+        parameter=parameter.name,
+        probability=probability,
+        change=change,
+        sd=sd,
+        unit=parameter.unit,
+        words=change_in_words(model, parameter, change, tilt, sd),
+    )
 
 
 def sampled_moves(

@@ -23,13 +23,7 @@ from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.diagnosis import DiagnosisResult
 from trms_cli.gap.known_state import known_state
-from trms_cli.gap.problem import (
-    GapProblem,
-    applicable_candidates,
-    thin_dataset,
-    with_noise,
-    without_contacts,
-)
+from trms_cli.gap.problem import GapProblem, applicable_candidates, comparable_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import names
 
@@ -49,10 +43,7 @@ def diagnose_onset(
     problem: GapProblem, watch: Callable[[float, str], bool] = lambda share, message: True
 ) -> DiagnosisResult | None:
     """A diagnosis of what began within the recordings; None where nothing clearly did."""
-    recordings = [
-        without_contacts(thin_dataset(with_noise(d)), problem.block, problem.model.stops)
-        for d in problem.datasets
-    ]
+    recordings = comparable_datasets(problem, problem.datasets)
     if len({names(d.outputs) for d in recordings}) > 1:
         return None  # each is compared with what is known of all
     for share in _FIRST:
@@ -60,30 +51,20 @@ def diagnose_onset(
         if any(2 * cut > len(d) for cut, d in zip(cuts, recordings, strict=True)):
             return None
         try:
-            look, begin_comparison = _compare_beginnings(problem, recordings, cuts, watch)
-            end_comparison = (
-                None
-                if begin_comparison is None
-                else _compare_ends(problem, recordings, cuts, watch)
-            )
+            look, begins = _compare_beginnings(problem, recordings, cuts, watch)
+            ends = begins and _compare_ends(problem, recordings, cuts, watch)
         except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
             return None  # a look that fails is no reason to lose a diagnosis
         times = [cut * d.sample_time for cut, d in zip(cuts, recordings, strict=True)]
-        length = ", ".join(f"{t:.3g}" for t in times)
-        if (
-            end_comparison is not None
-            and _clear(end_comparison)
-            and _rather(end_comparison, begin_comparison)
-        ):
-            return _with_warning(
-                change_result(problem, end_comparison),
-                f"what ended is told against the last {length} s, taken for the known state",
-            )
-        if begin_comparison is not None and _clear(begin_comparison):
-            return _with_warning(
-                change_result(problem, _later(begin_comparison, times)),
-                f"what began is told against the first {length} s, taken for the known state",
-            )
+        clear, words = None, ""
+        if begins and ends and _clear(ends) and _rather(ends, begins):
+            clear, words = ends, "ended is told against the last"
+        elif begins and _clear(begins):
+            clear, words = _later(begins, times), "began is told against the first"
+        if clear:
+            result, length = change_result(problem, clear), ", ".join(f"{t:.3g}" for t in times)
+            warning = f"what {words} {length} s, taken for the known state"
+            return replace(result, warnings=(*result.warnings, warning))
         if look.unchanged > _CALM:
             return None
     return None
@@ -95,18 +76,10 @@ def _clear(comparison: StateComparison) -> bool:
     return has_name and comparison.judged[0].began is not None
 
 
-def _rather(end_comparison: StateComparison, begin_comparison: StateComparison | None) -> bool:
+def _rather(ends: StateComparison, begins: StateComparison) -> bool:
     """Whether an effect that ends explains more than anything that begins."""
-    if end_comparison.judged[0].difference.kind != "effect":
-        return False
-    return (
-        begin_comparison is None
-        or float(end_comparison.gains[0] - begin_comparison.gains[0]) > _RATHER_ENDS
-    )
-
-
-def _with_warning(result: DiagnosisResult, warning: str) -> DiagnosisResult:
-    return replace(result, warnings=(*result.warnings, warning))
+    is_effect = ends.judged[0].difference.kind == "effect"
+    return is_effect and float(ends.gains[0] - begins.gains[0]) > _RATHER_ENDS
 
 
 def _compare_ends(

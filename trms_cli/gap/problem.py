@@ -15,11 +15,10 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.wording import listing, number
-from trms_cli.effects.dropout import Dropout
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.places import places_of
-from trms_cli.effects.quantisation import Quantisation
+from trms_cli.effects.sensors import Dropout, Quantisation
 from trms_cli.gap.belief import Calibration
 from trms_cli.gap.diagnosis import DiagnosedRecording, SizeEstimate
 from trms_cli.identification.dataset import Dataset
@@ -92,8 +91,6 @@ _FINEST = 0.0095
 _MOST_SAMPLES = 6000
 #: s. A sealed part shorter than this cannot show a free run of ten seconds.
 _LEAST_SEALED = 12.0
-#: An angle beyond this share of its mechanical range touches the stop.
-_AT_STOP = 0.995
 #: From so many recordings on, whole ones are sealed.
 _SEVERAL = 3
 #: No sensor is believed closer than this share of its channel's motion (standard deviation).
@@ -182,7 +179,7 @@ def divide(
     others do not. ``finest``: s, steps below which a recording is thinned. Raises
     ConfigurationError if hardly anything would be left.
     """
-    whole = tuple(thin_dataset(dataset, finest) for dataset in datasets)
+    whole = tuple(dataset.thinned(finest) for dataset in datasets)
     total = sum(dataset.duration for dataset in whole)
     if len(whole) >= _SEVERAL and not of_each:
         whole = tuple(with_noise(dataset) for dataset in whole)
@@ -213,7 +210,7 @@ def divide(
             remedy="record at least 20 s, better 120 s; or give several recordings of the rig",
         )
     fitted, whole = (
-        tuple(without_contacts(dataset, block, stops) for dataset in datasets)
+        tuple(dataset.without_contacts(block, stops) for dataset in datasets)
         for datasets in (fitted, whole)
     )
     return Parts(fitted, whole, sealed, block)
@@ -231,23 +228,10 @@ def _newest(datasets: Sequence[Dataset], most: float) -> tuple[Dataset, ...]:
     return tuple(parts)
 
 
-def without_contacts(dataset: Dataset, block: float, stops: Mapping[str, float]) -> Dataset:
-    """Nothing measured from a contact with a stop to the end of its block (s)."""
-    samples = max(2, round(block / dataset.sample_time))
-    touching = np.zeros(len(dataset), dtype=bool)
-    for i, signal in enumerate(dataset.outputs):
-        if signal.name in stops:
-            touching |= np.abs(dataset.measurements[:, i]) >= _AT_STOP * stops[signal.name]
-    if not touching.any():
-        return dataset
-    measurements = dataset.measurements.copy()
-    for first in range(0, len(dataset), samples):
-        hits = np.flatnonzero(touching[first : first + samples])
-        if len(hits):
-            measurements[first + hits[0] : first + samples] = np.nan
-    missing_share = float(np.mean(np.isnan(measurements).all(axis=1)))
-    remark = f"{100 * missing_share:.0f} % of the samples left out, from contacts with a stop on"
-    return replace(dataset, measurements=measurements, remarks=(*dataset.remarks, remark))
+def comparable_datasets(problem: GapProblem, datasets: Sequence[Dataset]) -> list[Dataset]:
+    """Recordings as they are compared with a known state."""
+    stops = problem.model.stops
+    return [with_noise(d).thinned(_FINEST).without_contacts(problem.block, stops) for d in datasets]
 
 
 def with_noise(dataset: Dataset) -> Dataset:
@@ -311,27 +295,6 @@ def finest_step(model: Model, datasets: Sequence[Dataset]) -> float:
     if model.bench_sizes or model.sample_time is not None:
         return _FINEST
     return min(_FINEST, sum(dataset.duration for dataset in datasets) / _MOST_SAMPLES)
-
-
-def thin_dataset(dataset: Dataset, finest: float = _FINEST) -> Dataset:
-    """Every few samples of a fast recording; commands are averaged over the new step.
-
-    Not every effect stands a coarse step: a delay does, for the commands' average moves with it.
-    ``finest``: s.
-    """
-    factor = int(np.ceil(finest / dataset.sample_time - 1e-9))
-    if factor < 2:
-        return dataset
-    n = len(dataset) // factor * factor
-    commands = dataset.commands[:n].reshape(-1, factor, dataset.commands.shape[1]).mean(axis=1)
-    return replace(
-        dataset,
-        sample_time=dataset.sample_time * factor,
-        time=dataset.time[:n:factor],
-        commands=np.ascontiguousarray(commands),
-        measurements=np.ascontiguousarray(dataset.measurements[:n:factor]),
-        remarks=(*dataset.remarks, f"every {factor}th sample is used, commands averaged between"),
-    )
 
 
 #: Multiples of the typical range's geometric middle at which an effect is tried.

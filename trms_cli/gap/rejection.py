@@ -55,13 +55,14 @@ def rejected_effects(
         entry = alone.get(name)
         if candidate is None or not candidate.simulated:
             why = reasons.get(name) or _not_from_outside(name, posterior)
-            ranking.append((-np.inf, _plain(name, why)))
+            ranking.append((-np.inf, Rejected(effect=name, reason=why)))
             continue
         bound = upper_bound(beside, candidate)
         if entry is None or not np.isfinite(entry.fit.score):
             why = _of_trace(name, fitted_answer, race, beside, reasons)
-            nearness = -1e6 + _promise(beside, name)
-            ranking.append((nearness, _plain(name, why, bound, candidate.free[0].unit)))
+            unit = candidate.free[0].unit
+            row = Rejected(effect=name, upper_bound=bound, reason=why, unit=unit)
+            ranking.append((-1e6 + _promise(beside, name), row))
             continue
         score, size = entry.fit.score - own, _first_size(entry, candidate)
         why, alike = _of_fit(name, score, fitted_answer, race, posterior)
@@ -114,10 +115,6 @@ def upper_bound(signs: Signatures, candidate: CandidateEffect) -> float | None:
     if least is None or not np.isfinite(least[1]) or least[1] > max(abs(free.lower), free.upper):
         return None
     return least[1]
-
-
-def _plain(name: str, why: str, bound: float | None = None, unit: str = "") -> Rejected:
-    return Rejected(effect=name, score=None, size=None, upper_bound=bound, reason=why, unit=unit)
 
 
 def _first_size(entry: FittedModel, candidate: CandidateEffect) -> SizeEstimate:

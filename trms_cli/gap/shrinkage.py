@@ -7,6 +7,8 @@ blocks that were fitted are sealed in turn, each with the parameters that the ot
 would give, and blocks are drawn from all of them.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,17 +16,24 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.extended_model import extend_model
+from trms_cli.effects.forces import ConstantTorque
 from trms_cli.gap.beginning import begins_at
+from trms_cli.gap.change import StateComparison
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import Gap, Shrink, shown_horizon
+from trms_cli.gap.differences import NewRecordings, differences
+from trms_cli.gap.evidence import ChangeEvidence, DifferenceScore, judge
 from trms_cli.gap.free_runs import (
     Errors,
     HorizonErrors,
     expected_errors,
     free_run_errors,
-    join_errors,
+    joined_errors,
 )
-from trms_cli.gap.problem import GapProblem, Parts, horizons_of
+from trms_cli.gap.problem import GapProblem, Parts, divide, horizons_of
+from trms_cli.identification.problem import with_values
 from trms_cli.models.model import Model
 from trms_cli.simulation.rollout import Rollout
 
@@ -64,29 +73,26 @@ class SealedRuns:
         self._problem, self._parts = problem, parts
         self._options: dict[str, Any] = {"block": parts.block, "jobs": problem.jobs}
         self._options["horizons"] = horizons_of(problem.model)
-        self._errors: dict[int, tuple[Model, Errors]] = {}
-        self._floors: dict[int, tuple[Model, Errors]] = {}
+        self._errors: dict[Model, Errors] = {}
+        self._floors: dict[Model, Errors] = {}
 
     def errors(self, model: Model, rollout: Rollout | None = None) -> Errors:
         """By channel and horizon; ``rollout``: of the model's structure, where one is at hand."""
-        # the model stands beside its errors so that its identity stays its own
-        entry = self._errors.get(id(model))
-        if entry is None:
-            own = self._parts
-            errors = free_run_errors(model, own.whole, own.sealed, rollout=rollout, **self._options)
-            entry = self._errors[id(model)] = (model, errors)
-        return entry[1]
+        own = self._parts
+        if model not in self._errors:
+            self._errors[model] = free_run_errors(
+                model, own.whole, own.sealed, rollout=rollout, **self._options
+            )
+        return self._errors[model]
 
     def floor(self, model: Model, rollout: Rollout | None = None) -> Errors:
         """What a model leaves of its own simulation, seen through the sensors' noise."""
-        entry = self._floors.get(id(model))
-        if entry is None:
-            own, seed = self._parts, self._problem.seed
-            errors = expected_errors(
+        own, seed = self._parts, self._problem.seed
+        if model not in self._floors:
+            self._floors[model] = expected_errors(
                 model, own.whole, own.sealed, seed=seed, rollout=rollout, **self._options
             )
-            entry = self._floors[id(model)] = (model, errors)
-        return entry[1]
+        return self._floors[model]
 
 
 def farthest_errors(errors: Errors, floor: Errors, stray: Mapping[str, float]) -> FloatArray:
@@ -182,12 +188,12 @@ class _Pair:
     block: IntArray  #: (m,) array of int; from :data:`_IN_TURN` on those that were fitted
 
     @classmethod
-    def of(cls, before: HorizonErrors, after: HorizonErrors, floor: float) -> "_Pair":
+    def of(cls, before: HorizonErrors, after: HorizonErrors, floor: float) -> _Pair:
         squares = np.stack([before.squared, after.squared]) / floor**2
         squares = np.minimum(squares, _DIVERGED**2)  # infinite where a run diverged
         return cls(squares, before.block)
 
-    def beside(self, turns: "_Pair") -> "_Pair":
+    def beside(self, turns: _Pair) -> _Pair:
         """With blocks that were sealed in turn."""
         return _Pair(
             np.hstack([self.squares, turns.squares]),
@@ -281,7 +287,7 @@ def _in_turn(
         return None
     windows = refit.structure.windows
     ends = np.cumsum([len(dataset) for dataset in windows.datasets])
-    block_errors: list[list[Errors]] = [[], []]
+    block_errors: list[list[tuple[str, float, HorizonErrors]]] = [[], []]
     acts = begins_at(corrected) or 0  # before, the corrected model is not the rig's
     for j, (first, count) in enumerate(zip(windows.first, windows.count, strict=True)):
         if j < acts:
@@ -294,29 +300,13 @@ def _in_turn(
             errors = free_run_errors(
                 fitted.without(j), parts.whole, [span], block=parts.block, rollout=own, jobs=jobs
             )
-            own_errors.append(_with_block_number(errors, j))
-    before, after = (_together(own_errors) for own_errors in block_errors)
+            own_errors += [  # as of one block of that number
+                (name, horizon, replace(e, block=np.full_like(e.block, j)))
+                for name, by_horizon in errors.items()
+                for horizon, e in by_horizon.items()
+            ]
+    before, after = map(joined_errors, block_errors)
     return before, after
-
-
-def _with_block_number(errors: Errors, block: int) -> Errors:
-    """As of one block of that number."""
-    return {
-        name: {h: replace(e, block=np.full_like(e.block, block)) for h, e in by_horizon.items()}
-        for name, by_horizon in errors.items()
-    }
-
-
-def _together(errors: Sequence[Errors]) -> Errors:
-    errors_by_channel: dict[str, dict[float, list[HorizonErrors]]] = {}
-    for one in errors:
-        for name, by_horizon in one.items():
-            for horizon, e in by_horizon.items():
-                errors_by_channel.setdefault(name, {}).setdefault(horizon, []).append(e)
-    return {
-        name: {horizon: join_errors(parts) for horizon, parts in by_horizon.items()}
-        for name, by_horizon in errors_by_channel.items()
-    }
 
 
 @dataclass(frozen=True)
@@ -349,3 +339,64 @@ def sealed_comparison(
         problem, parts, problem.model, refit.model, last, (plain, richer), runs, turns
     )
     return SealedComparison(shrinkage, models)
+
+
+#: s after an onset that must be left to estimate sizes from.
+_LEAST_AFTER = 5.0
+
+
+def change_shrinkage(
+    problem: GapProblem, comparison: StateComparison, correction: DifferenceScore | None
+) -> Shrinkage | None:
+    """Free runs of the model as it was, of the known state's, and of that with the difference.
+
+    ``correction``: what the corrected model has beyond the known state's; None: nothing. None where
+    the recordings are too short to keep a part aside, or the difference begins within that part.
+    """
+    try:
+        parts = divide(problem.datasets, problem.block, problem.sealed_share, problem.model.stops)
+    except ConfigurationError:
+        return None
+    known_model = comparison.questioned.known_state.model
+    corrected = known_model if correction is None else _corrected(comparison, parts, correction)
+    if corrected is None:
+        return None
+    return measure_shrinkage(problem, parts, problem.model, known_model, corrected)
+
+
+def _corrected(
+    comparison: StateComparison, parts: Parts, correction: DifferenceScore
+) -> Model | None:
+    """The known state's model with the difference, of sizes that the sealed part has no say in."""
+    known_state = comparison.questioned.known_state
+    # nothing foretells what varies at random, and rounding is in no model
+    if correction.varies or not correction.difference.families:
+        return known_state.model
+    if correction.began is not None:
+        within = (
+            parts.fitted[correction.recording] if correction.recording < len(parts.fitted) else None
+        )
+        if within is None or within.duration - correction.began.time_s < _LEAST_AFTER:
+            return None
+    name = correction.difference.name
+    evidence = ChangeEvidence(NewRecordings.of(known_state, parts.fitted))
+    again = differences(evidence.questioned, comparison.candidates, only={name})
+    difference = next(iter(again), None)
+    if difference is None:  # it diverges there
+        return None
+    score = judge(evidence, difference)
+    if correction.difference.kind == "parameter":
+        value = known_state.model.parameters[name].value + float(score.value[0])
+        return with_values(known_state.model, {name: value})
+    sizes = dict(zip(score.difference.labels, score.value.tolist(), strict=True))
+    effect = stand_in(correction) or comparison.candidates[name].effect
+    with_effect = extend_model(known_state.model, {name: effect})
+    return with_values(with_effect, {f"{name}.{size}": value for size, value in sizes.items()})
+
+
+def stand_in(score: DifferenceScore) -> ConstantTorque | None:
+    """What a model has in place of a torque from outside; None for any other difference."""
+    if score.difference.kind != "torque" or score.varies:
+        return None
+    axis = score.difference.name.split("_")[0]
+    return ConstantTorque(axis=axis, torque=float(score.value[0]))

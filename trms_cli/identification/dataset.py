@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,9 @@ import numpy as np
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Signal, index_of, names
+
+#: An angle beyond this share of its mechanical range touches the stop.
+_AT_STOP = 0.995
 
 
 @dataclass(frozen=True)
@@ -112,3 +115,46 @@ class Dataset:
             first = np.append(first, len(self) - rest)
             count = np.append(count, rest)
         return first.astype(np.int64), count.astype(np.int64)
+
+    def thinned(self, step: float) -> Dataset:
+        """Every few samples of a fast recording, at least ``step`` (s) apart.
+
+        Commands are averaged over the new step. Not every effect stands a coarse one: a delay does,
+        for the commands' average moves with it.
+        """
+        factor = int(np.ceil(step / self.sample_time - 1e-9))
+        if factor < 2:
+            return self
+        n = len(self) // factor * factor
+        commands = self.commands[:n].reshape(-1, factor, self.commands.shape[1]).mean(axis=1)
+        return replace(
+            self,
+            sample_time=self.sample_time * factor,
+            time=self.time[:n:factor],
+            commands=np.ascontiguousarray(commands),
+            measurements=np.ascontiguousarray(self.measurements[:n:factor]),
+            remarks=(*self.remarks, f"every {factor}th sample is used, commands averaged between"),
+        )
+
+    def without_contacts(self, block: float, stops: Mapping[str, float]) -> Dataset:
+        """Nothing measured from a contact with a stop to the end of its block (s).
+
+        ``stops``: mechanical range of angles, rad.
+        """
+        samples = max(2, round(block / self.sample_time))
+        touching = np.zeros(len(self), dtype=bool)
+        for i, signal in enumerate(self.outputs):
+            if signal.name in stops:
+                touching |= np.abs(self.measurements[:, i]) >= _AT_STOP * stops[signal.name]
+        if not touching.any():
+            return self
+        measurements = self.measurements.copy()
+        for first in range(0, len(self), samples):
+            hits = np.flatnonzero(touching[first : first + samples])
+            if len(hits):
+                measurements[first + hits[0] : first + samples] = np.nan
+        missing_share = float(np.mean(np.isnan(measurements).all(axis=1)))
+        remark = (
+            f"{100 * missing_share:.0f} % of the samples left out, from contacts with a stop on"
+        )
+        return replace(self, measurements=measurements, remarks=(*self.remarks, remark))

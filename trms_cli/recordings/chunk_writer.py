@@ -42,12 +42,7 @@ class Stream(Protocol):
 class ChunkWriter:
     """An MCAP file in the making; the caller flushes and closes the stream.
 
-    Parameters
-    ----------
-    stream : Stream
-        At its beginning.
-    library : str
-        Names the program in the file's header.
+    ``stream``: at its beginning. ``library``: names the program in the file's header.
     """
 
     def __init__(self, stream: Stream, library: str) -> None:

@@ -8,20 +8,26 @@ import re
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
 from trms_cli.core.data_file import MEBIBYTE, how_to_raise, largest, recorded_bytes
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
+from trms_cli.core.whole_file import whole_file
 from trms_cli.recordings.channels import CHANNELS, Channel, Vocabulary, to_si
-from trms_cli.recordings.output_file import whole_file
-from trms_cli.recordings.recording import Recording, require_channels, require_values, unit_fields
+from trms_cli.recordings.recording import (
+    Recording,
+    refuse,
+    require_channels,
+    require_values,
+    unit_fields,
+)
 
 _HEADER_CELL = re.compile(r"^(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]$")
 _TIME = Channel("t", "time", ("s",), "time")
 _EXAMPLE = "t[s],u_v[V],u_h[V],alpha_v[rad],alpha_h[rad]"
+_COMMAS = "separate columns by commas and write decimals with a point: 0.25"
 _MISSING = float("nan")
 #: What recorders write where there is no sample.
 _NO_VALUE = ("", "nan", "-nan", "+nan")
@@ -103,28 +109,23 @@ def _one_line(text: str) -> str:
 def _lines(path: Path) -> tuple[list[str], bool]:
     data = recorded_bytes(path, _USUAL_MOST)
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        _refuse(path, 1, "the text is UTF-16, as some spreadsheets save it", "save it as UTF-8")
+        refuse(f"{path}:1", "the text is UTF-16, as some spreadsheets save it", "save it as UTF-8")
     if b"\0" in data:
         line = data[: data.index(b"\0")].count(b"\n") + 1
-        _refuse(path, line, "this is a binary file, not text", "give a CSV file")
+        refuse(f"{path}:{line}", "this is a binary file, not text", "give a CSV file")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         problem = f"the byte 0x{data[error.start]:02x} is not UTF-8 text"
-        _refuse(path, line, problem, "save the file as UTF-8")
+        refuse(f"{path}:{line}", problem, "save the file as UTF-8")
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     count, most = text.count("\n"), largest(_USUAL_MOST) // _LEAST_LINE
     if count > most:
-        raise RecordingError(
-            f"it has {count:,} lines, and {most:,} are read",
-            where=str(path),
-            remedy=how_to_raise(count * _LEAST_LINE),
-        )
+        problem = f"it has {count:,} lines, and {most:,} are read"
+        refuse(path, problem, how_to_raise(count * _LEAST_LINE))
     if not text.strip():
-        raise RecordingError(
-            "the file is empty", where=str(path), remedy=f"it needs a header as {_EXAMPLE}"
-        )
+        refuse(path, "the file is empty", f"it needs a header as {_EXAMPLE}")
     return text.split("\n"), text.endswith("\n")
 
 
@@ -140,32 +141,20 @@ def _preamble(path: Path, lines: list[str]) -> tuple[dict[str, str], int]:
             metadata[printable(key.strip())] = printable(value.strip())
         elif text:
             return metadata, index
-    raise RecordingError(
-        "there is no header, only # lines", where=str(path), remedy=f"write one as {_EXAMPLE}"
-    )
+    refuse(path, "there is no header, only # lines", f"write one as {_EXAMPLE}")
 
 
 def _header_cells(line: str, where: str) -> list[str]:
     if line.count(",") >= _MOST_COLUMNS:
-        raise RecordingError(
-            f"it has {line.count(',') + 1:,} columns",
-            where=where,
-            remedy=f"a recording has up to {_MOST_COLUMNS}; is a line end missing?",
-        )
+        remedy = f"a recording has up to {_MOST_COLUMNS}; is a line end missing?"
+        refuse(where, f"it has {line.count(',') + 1:,} columns", remedy)
     cells = [cell.strip().strip('"').strip() for cell in line.split(",")]
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if separator in line:
-            raise RecordingError(
-                f"the columns are separated by {name}",
-                where=where,
-                remedy="separate columns by commas and write decimals with a point: 0.25",
-            )
+            refuse(where, f"the columns are separated by {name}", _COMMAS)
     if all(_is_number(cell) for cell in cells):
-        raise RecordingError(
-            "the first line holds numbers; the header is missing",
-            where=where,
-            remedy=f"write the names and units above, as {_EXAMPLE}",
-        )
+        problem = "the first line holds numbers; the header is missing"
+        refuse(where, problem, f"write the names and units above, as {_EXAMPLE}")
     return cells
 
 
@@ -178,12 +167,9 @@ def _columns(
         columns.append(_header_cell(cell, position, vocabulary, where))
         earlier = [column.name for column in columns[:-1]]
         if columns[-1].name in earlier:
-            raise RecordingError(
-                f"the column {columns[-1].name!r} stands twice, "
-                f"in places {earlier.index(columns[-1].name) + 1} and {position}",
-                where=where,
-                remedy="keep one of them",
-            )
+            places = f"in places {earlier.index(columns[-1].name) + 1} and {position}"
+            problem = f"the column {columns[-1].name!r} stands twice, {places}"
+            refuse(where, problem, "keep one of them")
     others = vocabulary.left_out([column.name for column in columns], where)
     require_channels([c.channel.name for c in columns if c.channel], where, vocabulary, others)
     return columns, [f"not used: {', '.join(others)}"] if others else []
@@ -198,11 +184,7 @@ def _parts(cell: str) -> tuple[str, str | None]:
 def _header_cell(cell: str, position: int, vocabulary: Vocabulary, where: str) -> _Column:
     name, unit = _parts(cell)
     if not cell:
-        raise RecordingError(
-            f"column {position} has no name",
-            where=where,
-            remedy="name it, or remove the comma too many",
-        )
+        refuse(where, f"column {position} has no name", "name it, or remove the comma too many")
     own = vocabulary.name_of(name)
     channel = _TIME if own == "t" else vocabulary.find(own) if own else None
     if own is None and (vocabulary.origin == "model" or name in vocabulary.columns):
@@ -219,11 +201,8 @@ def _header_cell(cell: str, position: int, vocabulary: Vocabulary, where: str) -
         )
     if unit is None:
         usual = channel.units[0] if channel.units else "1"
-        raise RecordingError(
-            f"column {position}: {cell!r} has no unit",
-            where=where,
-            remedy=f"write {name}[{usual}], with the unit that the numbers are in",
-        )
+        remedy = f"write {name}[{usual}], with the unit that the numbers are in"
+        refuse(where, f"column {position}: {cell!r} has no unit", remedy)
     column = _Column(name, unit, channel)
     _in_si(np.empty(0), column, where)  # a wrong unit is told before any wrong number
     return column
@@ -262,7 +241,7 @@ def _numbers(
         problem = (
             "there is a single row" if line_numbers else "there are no numbers below the header"
         )
-        _refuse(path, first + 1, problem, "a recording needs two samples or more")
+        refuse(f"{path}:{first + 1}", problem, "a recording needs two samples or more")
     table = np.concatenate([*blocks, np.array(rows).reshape(-1, width)])
     # "nan" and "inf" pass float(), and so does an empty cell as our own NaN: only rows with
     # a value that is not finite are looked at again. float() also takes 1_0 for 10.
@@ -273,7 +252,7 @@ def _numbers(
         for cell, column in zip(lines[number - 1].split(","), columns, strict=True):
             value = _number(path, number, cell, column)
             if column.channel is _TIME and value != value:
-                _refuse(path, number, "the cell of 't' is empty", "every row needs its time")
+                refuse(f"{path}:{number}", "the cell of 't' is empty", "every row needs its time")
     return table, line_numbers
 
 
@@ -281,15 +260,13 @@ def _number(path: Path, line: int, cell: str, column: _Column) -> float:
     text = cell.strip().strip('"').strip()
     if text.lower() in _NO_VALUE or column.channel is None:
         return _MISSING
-    prefix, empty = (
-        f"column {column.name!r} holds",
-        "leave the cell empty where a sample is missing",
-    )
+    prefix = f"column {column.name!r} holds"
+    empty = "leave the cell empty where a sample is missing"
     if not _is_number(text):
         problem = f"{prefix} {text[:40]!r}, which is not a number"
-        _refuse(path, line, problem, f"write numbers as 0.25 or 2.5e-1; {empty}")
+        refuse(f"{path}:{line}", problem, f"write numbers as 0.25 or 2.5e-1; {empty}")
     if not np.isfinite(float(text)):
-        _refuse(path, line, f"{prefix} {text!r}, which is not finite", empty)
+        refuse(f"{path}:{line}", f"{prefix} {text!r}, which is not finite", empty)
     return float(text)
 
 
@@ -307,24 +284,18 @@ def _refuse_width(
     path: Path, line: int, text: str, cell_count: int, width: int, *, cut: bool
 ) -> None:
     if cut:
-        _refuse(
-            path,
-            line,
+        refuse(
+            f"{path}:{line}",
             f"the file ends in the middle of the line: {cell_count} of {width} cells",
             "the file was cut; copy it again, or delete its last line",
         )
     if ";" in text or cell_count >= 2 * width - 1 > 1:
-        _refuse(
-            path,
-            line,
-            f"{cell_count} cells where the header has {width}: decimal commas or semicolons?",
-            "separate columns by commas and write decimals with a point: 0.25",
-        )
+        problem = f"{cell_count} cells where the header has {width}: decimal commas or semicolons?"
+        refuse(f"{path}:{line}", problem, _COMMAS)
     if text.lstrip().startswith("#"):
-        _refuse(path, line, "a # line below the header", "metadata stand above the header")
-    _refuse(
-        path,
-        line,
+        refuse(f"{path}:{line}", "a # line below the header", "metadata stand above the header")
+    refuse(
+        f"{path}:{line}",
         f"{cell_count} cells where the header has {width}",
         "give each line as many cells as the header; empty cells are missing samples",
     )
@@ -341,9 +312,8 @@ def _check_last_line(
     fewer = len(decimals) == 1 and len(text.partition(".")[2]) < min(decimals)
     always_there = not np.isnan(table[:-1, -1]).any()
     if (text and fewer) or (not text and always_there):
-        _refuse(
-            path,
-            numbers[-1],
+        refuse(
+            f"{path}:{numbers[-1]}",
             f"the file ends in the middle of the last cell, {columns[-1].name!r}: {text!r}",
             "if the file was cut, copy it again or delete its last line; if not, end it with a "
             "line break",
@@ -358,13 +328,8 @@ def _check_time(path: Path, time: np.ndarray, line_numbers: list[int]) -> None:
         before, now = float(time[index - 1]), float(time[index])
         what = "repeats" if before == now else "runs back"
         more = f" (and at {len(wrong) - 1} more places)" if len(wrong) > 1 else ""
-        _refuse(
-            path,
-            line_numbers[index],
+        refuse(
+            f"{path}:{line_numbers[index]}",
             f"time {what}: {now:.9g} s after {before:.9g} s{more}",
             "sort the rows and keep one per time; split a file of several runs",
         )
-
-
-def _refuse(path: Path, line: int, problem: str, remedy: str) -> NoReturn:
-    raise RecordingError(problem, where=f"{path}:{line}", remedy=remedy)

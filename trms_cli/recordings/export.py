@@ -8,10 +8,10 @@ import numpy as np
 import orjson
 
 from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.core.whole_file import whole_file
 from trms_cli.recordings.csv_recording import write_csv
 from trms_cli.recordings.log_reader import LoggedRun, TopicTable
 from trms_cli.recordings.mcap_recording import recording_of
-from trms_cli.recordings.output_file import whole_file
 
 _EVENTS = "/event"
 SUFFIXES = {"csv": ".csv", "parquet": ".parquet", "mat": ".mat"}

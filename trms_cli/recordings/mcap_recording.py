@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.whole_file import whole_file
 from trms_cli.recordings.channels import Vocabulary, reference_of, signal_of, to_si
 from trms_cli.recordings.log_reader import LoggedRun, read_log
-from trms_cli.recordings.output_file import whole_file
-from trms_cli.recordings.recording import Recording
+from trms_cli.recordings.recording import Recording, refuse
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic, standard_topics
 
@@ -40,11 +40,9 @@ def recording_of(log: LoggedRun, vocabulary: Vocabulary | None = None) -> Record
     """
     measurement, command = log.table("/measurement"), log.table("/command")
     if len(measurement) < 2 or not len(command):
-        raise RecordingError(
-            f"the log holds {len(measurement)} measurements and {len(command)} commands",
-            where=str(log.path),
-            remedy="a recording needs two measurements or more; the run may have died at once",
-        )
+        problem = f"the log holds {len(measurement)} measurements and {len(command)} commands"
+        remedy = "a recording needs two measurements or more; the run may have died at once"
+        refuse(log.path, problem, remedy)
     tables = {topic: log.tables[topic] for topic in _TOPICS if len(log.tables.get(topic, ()))}
     roles = {
         _channel_name(topic, key): _TOPICS[topic][0]

@@ -20,7 +20,7 @@ from msgspec import Meta
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.plugins import require_known
-from trms_cli.recordings.recording import GAP_FACTOR, Recording, on_grid
+from trms_cli.recordings.recording import GAP_FACTOR, Recording, on_grid, refuse
 from trms_cli.recordings.summary import describe_outliers, find_outliers, remarks_on
 
 #: Rows that a part needs to be one.
@@ -38,11 +38,9 @@ def split_at_gaps(recording: Recording) -> list[Recording]:
     edges = [0, *wide.tolist(), len(recording)]
     spans = [(a, b) for a, b in pairwise(edges) if b - a >= _LEAST_ROWS]
     if not spans:
-        raise RecordingError(
-            f"none of the {len(edges) - 1} parts between gaps has {_LEAST_ROWS} rows",
-            where=str(recording.source),
-            remedy="fill the gaps instead (gaps=SECONDS), or record without them",
-        )
+        problem = f"none of the {len(edges) - 1} parts between gaps has {_LEAST_ROWS} rows"
+        remedy = "fill the gaps instead (gaps=SECONDS), or record without them"
+        refuse(recording.source, problem, remedy)
     dropped = len(edges) - 1 - len(spans)
     parts = []
     for number, (a, b) in enumerate(spans, start=1):
@@ -115,11 +113,9 @@ def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recordi
         require_known(name, channels, problem, f"delays.{name}", RecordingError)
         whole = round(delay / step)
         if name in held_names and abs(delay - whole * step) > 0.01 * step:
-            raise RecordingError(
-                f"{delay:g} s is {delay / step:.3g} samples, and {name} is held from row to row",
-                where=f"delays.{name}",
-                remedy=f"give whole samples of {step:g} s, or resample first to a step that fits",
-            )
+            samples = f"{delay:g} s is {delay / step:.3g} samples"
+            remedy = f"give whole samples of {step:g} s, or resample first to a step that fits"
+            refuse(f"delays.{name}", f"{samples}, and {name} is held from row to row", remedy)
         first = max(first, recording.time[0] - delay)
         last = min(last, recording.time[-1] - delay)
         values, at = channels[name], recording.time - delay
@@ -130,11 +126,8 @@ def shift_channels(recording: Recording, delays: Mapping[str, float]) -> Recordi
             channels[name] = _shifted(at, values, recording.time, step)
     keep = (recording.time >= first - 0.01 * step) & (recording.time <= last + 0.01 * step)
     if np.count_nonzero(keep) < 2:
-        raise RecordingError(
-            "the delays leave nothing of the recording",
-            where="delays",
-            remedy=f"it lasts {recording.duration_s:g} s",
-        )
+        lasts = f"it lasts {recording.duration_s:g} s"
+        refuse("delays", "the delays leave nothing of the recording", lasts)
     words = ", ".join(f"{name} by {delay:g} s" for name, delay in delays.items())
     return replace(recording, channels=channels).select_rows(keep, f"moved earlier: {words}")
 
@@ -167,11 +160,9 @@ def resample(recording: Recording, step: float) -> Recording:
     """
     count = int(np.floor(recording.duration_s / step * (1 + _SAME) + _SAME)) + 1
     if not 2 <= count <= _MOST_SAMPLES:
-        raise RecordingError(
-            f"a recording of {recording.duration_s:g} s would have {count} samples at {step:g} s",
-            where="resample",
-            remedy=f"the recording's own step is {recording.sample_time:g} s",
-        )
+        would = f"would have {count} samples at {step:g} s"
+        own = f"the recording's own step is {recording.sample_time:g} s"
+        refuse("resample", f"a recording of {recording.duration_s:g} s {would}", own)
     old = recording.sample_time
     offsets = np.arange(count) * step
     even = np.max(np.abs(np.diff(recording.time) - step)) < _SAME * step

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -172,6 +172,11 @@ def quantum(values: np.ndarray) -> float | None:
     return step if float(np.max(off_grid)) < 0.25 * step else None
 
 
+def refuse(where: Path | str, problem: str, remedy: str = "") -> NoReturn:
+    """Raise RecordingError of a file, or of a line in it."""
+    raise RecordingError(problem, where=str(where), remedy=remedy)
+
+
 #: How a file's own names are told.
 _NAMES = "if another column is it, say so: 'data.names={SIGNAL: COLUMN}'"
 
@@ -193,11 +198,8 @@ def require_channels(
         (vocabulary.of_role(names, "output"), "an output", outputs),
     ):
         if not there:
-            raise RecordingError(
-                f"it lacks {what}; it has {', '.join((*names, *others)) or 'nothing'}",
-                where=where,
-                remedy=remedy + (f"; {_NAMES}" if others else ""),
-            )
+            problem = f"it lacks {what}; it has {', '.join((*names, *others)) or 'nothing'}"
+            refuse(where, problem, remedy + (f"; {_NAMES}" if others else ""))
 
 
 def require_values(channels: Mapping[str, np.ndarray], where: str, vocabulary: Vocabulary) -> None:
@@ -205,11 +207,8 @@ def require_values(channels: Mapping[str, np.ndarray], where: str, vocabulary: V
     for role in ("input", "output"):
         mine = vocabulary.of_role(channels, role)
         if all(np.isnan(channels[name]).all() for name in mine):
-            raise RecordingError(
-                f"no {role} has a single value: {', '.join(mine)} are empty throughout",
-                where=where,
-                remedy=f"at least one {role} needs numbers",
-            )
+            problem = f"no {role} has a single value: {', '.join(mine)} are empty throughout"
+            refuse(where, problem, f"at least one {role} needs numbers")
 
 
 def unit_fields(units: Mapping[str, str]) -> dict[str, str]:

@@ -26,8 +26,8 @@ import numpy as np
 
 from trms_cli import __version__
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.whole_file import NO_ROOM, explain_os_error
 from trms_cli.recordings.chunk_writer import ChunkWriter
-from trms_cli.recordings.output_file import NO_ROOM, explain_os_error
 from trms_cli.recordings.topics import (
     EVENT_TOPIC,
     RUN_METADATA,
@@ -92,26 +92,15 @@ _MAX_BUFFERED_ROWS = 100_000
 class RunLog:
     """An open log. Also a context manager: it closes with the outcome of its block.
 
-    Parameters
-    ----------
-    path : Path
-        File to create, with its folders. Never an existing one.
-    topics : sequence of Topic or EncodedTopic
-        What will be written; /event is added when it is missing. A message of an encoded topic
-        is one value: its JSON as bytes.
-    run_metadata : mapping of str to str
-        Goes into the ``trms.run`` record: command, seed, versions, git revision, …
-    attachments : mapping of str to (str, bytes)
-        Media type and content by file name: the resolved config, the parameters.
-    publish_time : {"wall", "log"}
-        What messages carry as publish time: the wall clock (simulated runs), or the log
-        time itself (recordings of a rig).
+    ``path``: file to create, with its folders; never an existing one. ``topics``: what will be
+    written; /event is added when it is missing. A message of an encoded topic is one value: its
+    JSON as bytes. ``run_metadata``: goes into the ``trms.run`` record: command, seed, versions, git
+    revision, … ``attachments``: media type and content by file name: the resolved config, the
+    parameters. ``publish_time``: what messages carry as such: the wall clock (simulated runs), or
+    the log time itself (recordings of a rig).
 
-    Raises
-    ------
-    RecordingError
-        When the file exists or cannot be created, and from any later write that fails. A
-        failed write leaves everything up to the last flush readable.
+    Raises RecordingError when the file exists or cannot be created, and from any later write that
+    fails. A failed write leaves everything up to the last flush readable.
     """
 
     def __init__(

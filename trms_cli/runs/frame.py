@@ -5,17 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from trms_cli.core.errors import TrmsError
-from trms_cli.runs.columns import IndexColumn
 from trms_cli.runs.query import Query, QueryResult, find
 
 Path = str | os.PathLike[str]
-_TYPES: dict[str, type | None] = {
-    "text": str,
-    "number": float,
-    "whole": int,
-    "truth": bool,
-    "any": None,
-}
 
 
 def find_runs(
@@ -98,12 +90,28 @@ def runs_frame(filter: str = "", folders: Path | Sequence[Path] = (), **how: Any
 
 
 def table_of(result: QueryResult) -> Any:
-    """An answer of the index as a ``pyarrow.Table``."""
-    from trms_cli.recordings.output_file import arrow_table
+    """An answer of the index as a ``pyarrow.Table``, each column of one type.
 
-    columns: dict[str, IndexColumn] = result.columns
-    kinds = {name: _TYPES[column.kind] for name, column in columns.items()}
-    return arrow_table(result.runs, kinds, {name: column.unit for name, column in columns.items()})
+    A column's unit stands in its metadata. One of any values is numbers if all are, else text.
+    """
+    import pyarrow as pa
+
+    types = {"number": pa.float64(), "whole": pa.int64(), "truth": pa.bool_(), "text": pa.string()}
+    fields, arrays = [], []
+    for name, column in result.columns.items():
+        kind, values = str(column.kind), [run.get(name) for run in result.runs]
+        if kind == "any":
+            kind, values = _one_kind(values)
+        fields.append(pa.field(name, types[kind], metadata={"unit": column.unit}))
+        arrays.append(pa.array(values, types[kind]))
+    return pa.table(arrays, schema=pa.schema(fields))
+
+
+def _one_kind(values: Sequence[Any]) -> tuple[str, list[Any]]:
+    present = [value for value in values if value is not None]
+    if all(isinstance(value, (int, float)) for value in present):
+        return "number", [None if value is None else float(value) for value in values]
+    return "text", [None if value is None else str(value) for value in values]
 
 
 def _query(

@@ -120,7 +120,7 @@ def write_whole(text: str, path: Path) -> None:
 
     Raises RecordingError if the disk does not take it.
     """
-    from trms_cli.recordings.output_file import explain_os_error
+    from trms_cli.core.whole_file import explain_os_error
 
     try:
         replace_whole(path, text.encode())

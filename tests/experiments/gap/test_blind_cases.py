@@ -22,8 +22,8 @@ from experiments.gap.blind.truths import (
     same_equation,
 )
 from trms_cli.core.resources import config_folder
-from trms_cli.effects.places import all_places
 from trms_cli.models.newtonian import Newtonian
+from trms_cli.models.rig_parts import diagram_rows, parts_of
 
 
 @pytest.mark.parametrize("name", SETS)
@@ -39,6 +39,8 @@ def test_a_set_holds_all_kinds_in_its_shares_and_follows_its_seed(name: str) -> 
 
 
 def test_kinds_have_what_they_are_about() -> None:
+    rows = diagram_rows(parts_of(Newtonian()))
+    places_of_the_rig = {place for row in rows for place in row.places.values()}
     for case in plan("development", 5):
         effects = set(case.effects)
         if case.kind in ("null", "offset"):
@@ -50,7 +52,7 @@ def test_kinds_have_what_they_are_about() -> None:
             assert len(effects) + len(case.moved) <= 1
             continue
         assert case.locations
-        assert set(case.locations) <= set(all_places(Newtonian()))
+        assert set(case.locations) <= places_of_the_rig
         assert len(effects) == {"pair": 2, "triple": 3}.get(case.kind, 1)
         places = [{p for at in TRUTHS[e].locations for p in same_equation(at)} for e in effects]
         assert len(set().union(*places)) == sum(map(len, places))

@@ -258,7 +258,7 @@ def write_csv(result: QueryResult, path: Path, *, force: bool) -> None:
     if path == Path("-"):
         _write_lines(result, sys.stdout)
         return
-    from trms_cli.recordings.output_file import whole_file
+    from trms_cli.core.whole_file import whole_file
 
     with (
         whole_file(path, force=force) as temporary,
@@ -272,10 +272,13 @@ def write_parquet(result: QueryResult, path: Path, *, force: bool) -> None:
 
     Raises RecordingError if there is such a file and not `force`, or it cannot be written.
     """
-    from trms_cli.recordings.output_file import write_parquet
+    import pyarrow.parquet as pq
+
+    from trms_cli.core.whole_file import whole_file
     from trms_cli.runs.frame import table_of
 
-    write_parquet(table_of(result), path, force=force)
+    with whole_file(path, force=force) as temporary:
+        pq.write_table(table_of(result), temporary)
 
 
 def _write_lines(result: QueryResult, file: TextIO) -> None:

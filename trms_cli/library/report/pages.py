@@ -199,7 +199,7 @@ def write_report(
     Raises RecordingError if there is nothing to report, or the file exists and is not to be
     replaced.
     """
-    from trms_cli.recordings.output_file import refuse_overwrite, whole_file
+    from trms_cli.core.whole_file import refuse_overwrite, whole_file
 
     remedy = "--force replaces it; --out FILE.html names another"
     if out is not None and not force:

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trms_cli.core.scene import GHOSTS
+from trms_cli.core.whole_file import whole_file
 from trms_cli.recordings.chunk_writer import ChunkWriter
 from trms_cli.recordings.foxglove import types as foxglove
 from trms_cli.recordings.foxglove.messages import Attitudes, SceneEncoder, log_line
-from trms_cli.recordings.output_file import whole_file
 from trms_cli.recordings.run_log import LIBRARY, RunLog
 
 if TYPE_CHECKING:
