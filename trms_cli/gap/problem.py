@@ -15,10 +15,11 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.wording import listing, number
+from trms_cli.effects.dropout import Dropout
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.places import places_of
-from trms_cli.effects.sensors import Dropout, Quantisation
+from trms_cli.effects.quantisation import Quantisation
 from trms_cli.gap.belief import Calibration
 from trms_cli.gap.diagnosis import DiagnosedRecording, SizeEstimate
 from trms_cli.identification.dataset import Dataset
