@@ -65,7 +65,7 @@ RESTRICTED = {
     "rich": {"commands", "reporting"},
     "matplotlib": {"reporting"},
     "mcap": {"recordings"},
-    "pyarrow": {"recordings"},
+    "pyarrow": {"recordings", "runs"},
     "pint": {"recordings"},
     "scipy.io": {"recordings"},
 }

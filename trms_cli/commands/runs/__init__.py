@@ -141,7 +141,9 @@ def _present(
     if arguments.csv:
         runs_screen.write_csv(result, arguments.csv, force=arguments.force)
     if arguments.parquet:
-        runs_screen.write_parquet(result, arguments.parquet, force=arguments.force)
+        from trms_cli.runs.frame import write_parquet
+
+        write_parquet(result, arguments.parquet, force=arguments.force)
     if arguments.json:
         print_json(runs_screen.document(result, arguments.filter), allow_nan=False)
     if arguments.unreadable and is_on_screen:

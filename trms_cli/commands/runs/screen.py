@@ -267,20 +267,6 @@ def write_csv(result: QueryResult, path: Path, *, force: bool) -> None:
         _write_lines(result, file)
 
 
-def write_parquet(result: QueryResult, path: Path, *, force: bool) -> None:
-    """Write a table with types, and units in the metadata of its fields.
-
-    Raises RecordingError if there is such a file and not `force`, or it cannot be written.
-    """
-    import pyarrow.parquet as pq
-
-    from trms_cli.core.whole_file import whole_file
-    from trms_cli.runs.frame import table_of
-
-    with whole_file(path, force=force) as temporary:
-        pq.write_table(table_of(result), temporary)
-
-
 def _write_lines(result: QueryResult, file: TextIO) -> None:
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(result.columns)
