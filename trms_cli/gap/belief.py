@@ -294,9 +294,13 @@ def _tempered(features: Features) -> Features:
     descending = np.argsort(-scores)[: len(by_size)]
     lifts[descending] = np.minimum.accumulate(lifts[descending])
     lead = np.max(lifts[finite & (scores < features.flexible)], initial=0.0)
+    tempered = share * scores + lifts
+    # nor does any lead grow by that: what explains as much without a further effect is spared too
+    losses = tempered[descending] - scores[descending]
+    tempered[descending] = scores[descending] + np.maximum.accumulate(losses)
     return replace(
         features,
-        scores=share * scores + lifts,
+        scores=tempered,
         flexible=share * features.flexible + float(lead),
     )
 
