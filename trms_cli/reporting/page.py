@@ -52,6 +52,8 @@ from trms_cli.reporting.chart_plot import plots_of, script_json
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from trms_cli.reporting.run_list import RunList
+
 
 @dataclass(frozen=True)
 class PackedScript:
@@ -68,7 +70,13 @@ def page_script() -> str:
 
 
 @cache
-def plotly_script() -> PackedScript:
+def page_style() -> str:
+    """Our style sheet."""
+    return Path(__file__).with_name("assets").joinpath("page.css").read_text(encoding="utf-8")
+
+
+@cache
+def plotly_source() -> bytes:
     """plotly.js of the installed package; that package itself is not imported, which takes time.
 
     Raises ModuleNotFoundError where it is not installed, and OSError where its script is missing.
@@ -76,7 +84,13 @@ def plotly_script() -> PackedScript:
     package = find_spec("plotly")
     if package is None or package.origin is None:
         raise ModuleNotFoundError("No module named 'plotly'", name="plotly")
-    text = Path(package.origin).with_name("package_data").joinpath("plotly.min.js").read_bytes()
+    return Path(package.origin).with_name("package_data").joinpath("plotly.min.js").read_bytes()
+
+
+@cache
+def plotly_script() -> PackedScript:
+    """plotly.js as a page carries it."""
+    text = plotly_source()
     digest = hashlib.sha256(text).digest()
     packed = cached_result(__file__, [digest], str, lambda: _packed(text))
     return PackedScript(packed, digest)
@@ -102,6 +116,24 @@ def policy(digests: Sequence[bytes] = ()) -> str:
         f"default-src 'none'; script-src {' '.join(hashes) or chr(39) + 'none' + chr(39)}; "
         "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
+
+
+@dataclass(frozen=True)
+class Hosting:
+    """What a page of a server has beside one that is a file."""
+
+    #: ``page_script``, ``plotly``: Addresses of the two scripts, on the same server
+    page_script: str
+    plotly: str
+    links: Sequence[tuple[str, str]] = ()  #: On top of the page: words and address
+    refresh: float = 0.0  #: s after which the page fetches itself anew, again and again; 0: never
+
+
+#: The Content-Security-Policy of pages of a server, as its answers have it: scripts are its own.
+HOSTED_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; img-src data: blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+)
 
 
 #: A drawing with more points in its curves than this is embedded as pixels instead.
@@ -138,9 +170,18 @@ def write_page(
 
 
 def page_html(
-    findings: Findings, subject: str = "", pictures: Path | None = None, *, interactive: bool = True
+    findings: Findings,
+    subject: str = "",
+    pictures: Path | None = None,
+    *,
+    interactive: bool = True,
+    hosting: Hosting | None = None,
+    run_list: RunList | None = None,
 ) -> str:
-    """The page as text; `pictures`: the folder that each chart is written into as a PNG too."""
+    """The page as text; `pictures`: the folder that each chart is written into as a PNG too.
+
+    `hosting`: what it has as a page of a server. `run_list`: runs to choose from.
+    """
     from markupsafe import Markup
 
     sections = list(findings.sections)
@@ -155,11 +196,17 @@ def page_html(
         anchors = [other["anchor"] for other in section_data[:number]]
         section["anchor"] += f"-{number + 1}" if section["anchor"] in anchors else ""
     kinds = {block["kind"] for section in section_data for block in section["blocks"]}
-    script = page_script() if kinds & {"plots", "rows"} else ""
-    plotly = plotly_script() if "plots" in kinds else None
+    needs_script, needs_plotly = bool(kinds & {"plots", "rows"}), "plots" in kinds
+    script = page_script() if needs_script and hosting is None else ""
+    plotly = plotly_script() if needs_plotly and hosting is None else None
     digests = [text_digest(script)] if script else []
     text: str = _template().render(
-        policy=policy([*digests, plotly.digest] if plotly else digests),
+        policy="" if hosting else policy([*digests, plotly.digest] if plotly else digests),
+        style=Markup(page_style()),
+        hosting=hosting,
+        run_list=run_list,
+        needs_script=needs_script,
+        needs_plotly=needs_plotly,
         script=Markup(script),
         plotly=plotly.packed if plotly else "",
         title=f"{findings.title}: {subject}" if subject else findings.title,
@@ -277,6 +324,13 @@ def _cell(cell: Cell, is_numeric: bool, is_head: bool, is_sortable: bool) -> str
     return f"<td{attributes}>{content}</td>"
 
 
+def _list_cell(cell: Cell) -> Any:
+    """A cell of a list of runs."""
+    from markupsafe import Markup
+
+    return Markup(_cell(cell, plain(cell) is None, False, False))
+
+
 def _is_number(cell: Cell) -> bool:
     value = plain(cell)
     return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
@@ -323,4 +377,5 @@ def _template() -> Any:
         lstrip_blocks=True,
     )
     environment.filters["inline"] = _inline
+    environment.filters["cell"] = _list_cell
     return environment.get_template("page.html")
