@@ -208,21 +208,33 @@ def listening_socket(port: int) -> Iterator[socket.socket]:
         own.close()
 
 
-def serve(application: Guard, own: socket.socket) -> None:
-    """Answer requests until this is interrupted; what is being sent is sent to its end.
+@contextlib.contextmanager
+def running(application: Guard, own: socket.socket) -> Iterator[threading.Thread]:
+    """Inside, a thread answers requests; what is being sent at the end is sent.
 
-    The server runs in a thread beside, so that Ctrl-C is this one's, as in every other command.
+    It is a thread beside, so that Ctrl-C is the caller's, as in every other command.
     """
     config = uvicorn.Config(
-        application, log_config=None, access_log=False, lifespan="off", server_header=False,
-        timeout_graceful_shutdown=int(_PATIENCE), ws="none",
-    )  # fmt: skip
+        application,
+        log_config=None,
+        access_log=False,
+        lifespan="off",
+        server_header=False,
+        timeout_graceful_shutdown=int(_PATIENCE),
+        ws="none",
+    )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [own]}, daemon=True)
     thread.start()
     try:
-        while thread.is_alive():
-            thread.join(0.5)
+        yield thread
     finally:
         server.should_exit = True
         thread.join(2 * _PATIENCE)
+
+
+def serve(application: Guard, own: socket.socket) -> None:
+    """Answer requests until this is interrupted."""
+    with running(application, own) as thread:
+        while thread.is_alive():
+            thread.join(0.5)

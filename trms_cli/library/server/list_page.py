@@ -219,6 +219,8 @@ def _choices(catalogue: Catalogue, chosen: Mapping[str, str]) -> list[ColumnChoi
 
 def _names(request: ListRequest, result: QueryResult) -> list[str]:
     mentioned = [request.sort, *names_in(request.filter)]
+    if any(run["outcome"] != "completed" for run in result.runs):
+        mentioned.append("outcome")
     names = visible_columns(result, mentioned)
     names += differing_keys(result, names)
     return [name for name in names if name != "log"]
