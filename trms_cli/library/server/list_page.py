@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
@@ -112,7 +113,7 @@ def _live_runs(catalogue: Catalogue) -> list[Any]:
 
 
 def _findings(catalogue: Catalogue, result: QueryResult, live: Sequence[Any]) -> Findings:
-    paths = [str(folder.resolve()) for folder in catalogue.folders]
+    paths = [_from_home(folder.resolve()) for folder in catalogue.folders]
     where = wording.listing(paths, most=3) or "this machine"
     if not result.of:
         commands = [
@@ -258,6 +259,12 @@ def _cell(catalogue: Catalogue, run: Mapping[str, Any], name: str, is_number: bo
     text = str(value)
     text = text if len(text) <= _LONGEST_CELL else f"{text[: _LONGEST_CELL - 1]}…"
     return Datum(text, _JUDGEMENTS.get(text, "") if name == "outcome" else "")
+
+
+def _from_home(folder: Path) -> str:
+    """``~/lab`` for a folder under the user's own."""
+    home = Path.home()
+    return str(Path("~") / folder.relative_to(home)) if folder.is_relative_to(home) else str(folder)
 
 
 def _short_path(catalogue: Catalogue, path: str) -> str:
