@@ -23,7 +23,7 @@ import io
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from html import escape
 from importlib.util import find_spec
@@ -66,13 +66,50 @@ class PackedScript:
 @cache
 def page_script() -> str:
     """Our script: draws plots, links their axes, sorts and filters tables."""
-    return Path(__file__).with_name("assets").joinpath("page.js").read_text(encoding="utf-8")
+    return _asset("page.js")
+
+
+def _asset(name: str) -> str:
+    return Path(__file__).with_name("assets").joinpath(name).read_text(encoding="utf-8")
 
 
 @cache
 def page_style() -> str:
-    """Our style sheet."""
-    return Path(__file__).with_name("assets").joinpath("page.css").read_text(encoding="utf-8")
+    """The style sheet of a page."""
+    light, dark = _colours()
+    dark = f"@media (prefers-color-scheme: dark) {{ :root {dark} }}"
+    return "\n".join((f":root {light}", dark, _asset("parts.css"), _asset("page.css")))
+
+
+def _colours() -> tuple[str, str]:
+    """Declarations of the light colours, and of the dark ones, each in its braces."""
+    light, dark = re.findall(r"^\.(?:light|dark) (\{[^}]*\})", _asset("colours.css"), re.MULTILINE)
+    return light, dark
+
+
+#: Where notebooks (JupyterLab, VS Code, Colab) and sites say that they are dark.
+_DARK_NOTEBOOKS = (
+    "body[data-jp-theme-light=false]",
+    "body.vscode-dark",
+    "html[theme=dark]",
+    "body[data-theme=dark]",
+)
+_AUTOMATIC = "body[data-theme=auto]"
+
+
+@cache
+def _fragment_style() -> str:
+    """The style sheet of a part of somebody else's page: nothing outside of it is touched."""
+    light, dark = _colours()
+    places = ", ".join(f"{place} .trms" for place in _DARK_NOTEBOOKS)
+    return "\n".join(
+        (
+            f".trms {light}",
+            f"{places} {dark}",
+            f"@media (prefers-color-scheme: dark) {{ {_AUTOMATIC} .trms {dark} }}",
+            f".trms {{ {_asset('fragment.css')} {_asset('parts.css')} }}",
+        )
+    )
 
 
 @cache
@@ -212,20 +249,53 @@ def page_html(
         title=f"{findings.title}: {subject}" if subject else findings.title,
         lead=[paragraph for paragraph in findings.lead if paragraph],
         facts=findings.facts,
-        measures=[
-            {
-                "label": measure.label,
-                "value": wording.cell(measure.value),
-                "unit": wording.unit(measure.unit),
-                "mark": measure.judgement,
-                "note": measure.note,
-            }
-            for measure in findings.measures
-        ],
+        measures=_measures(findings),
         sections=section_data,
     )
     # A file's name may hold what is no text; the page does.
     return text.encode("utf-8", "replace").decode("utf-8")
+
+
+def fragment_html(findings: Findings, pictures: Sequence[bytes] = ()) -> str:
+    """Findings as a part of another page: what an object in a notebook shows of itself.
+
+    The same figures, answer and tables as on a page, with `pictures` (PNG) in the place of charts.
+    It fetches nothing and runs no script, and its style sheet holds inside of it alone.
+    """
+    from markupsafe import Markup
+
+    sections = list(findings.sections)
+    if findings.warnings:
+        limits = Remarks([Datum(warning, "doubtful") for warning in findings.warnings])
+        sections.append(Section("What limits this", blocks=[limits], folded=True))
+    without_charts = [
+        replace(s, blocks=[b for b in s.blocks if not isinstance(b, Chart | RigDiagram)])
+        for s in sections
+    ]
+    data = (base64.b64encode(picture).decode("ascii") for picture in pictures)
+    text: str = _template("fragment.html").render(
+        style=Markup(_fragment_style()),
+        title=findings.title,
+        measures=_measures(findings),
+        lead=[paragraph for paragraph in findings.lead if paragraph],
+        pictures=[f"data:image/png;base64,{one}" for one in data],
+        sections=[_section(each, None, False) for each in without_charts if each.blocks],
+        facts=findings.facts,
+    )
+    return text.encode("utf-8", "replace").decode("utf-8")
+
+
+def _measures(findings: Findings) -> list[dict[str, str]]:
+    return [
+        {
+            "label": measure.label,
+            "value": wording.cell(measure.value),
+            "unit": wording.unit(measure.unit),
+            "mark": measure.judgement,
+            "note": measure.note,
+        }
+        for measure in findings.measures
+    ]
 
 
 def _section(section: Section, pictures: Path | None, interactive: bool) -> dict[str, Any]:
@@ -367,7 +437,7 @@ def _inline(text: str) -> Any:
 
 
 @cache
-def _template() -> Any:
+def _template(name: str = "page.html") -> Any:
     import jinja2
 
     environment = jinja2.Environment(
@@ -378,4 +448,4 @@ def _template() -> Any:
     )
     environment.filters["inline"] = _inline
     environment.filters["cell"] = _list_cell
-    return environment.get_template("page.html")
+    return environment.get_template(name)
