@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from tests.reporting.conftest import browser as browser  # the fixture
 from tests.runs.conftest import _TOPICS, CONFIG, score
 from trms_cli import run
 from trms_cli.library.server import application as application_module
