@@ -273,10 +273,11 @@ def _ratios(standings: Sequence[Standing]) -> list[Panel]:
     )
     return [
         Panel(
-            Axis("error over the best's in the same conditions"),
+            Axis("times the best's error"),
             Axis("", categories=names),
             [dots],
             "error over the best's",
+            caption="In the same conditions, with 95 % intervals where there are several.",
             row_height=(70 + 26 * min(len(entrants), 60)) / 256,
         )
     ]
