@@ -43,6 +43,7 @@ COMMANDS: dict[str, str] = {
     "runs": "what has been run: list, filter, sort, export",
     "compare": "many runs ranked: tracking, effort, robustness, time of a step, failures",
     "report": "one HTML page of a run, a comparison or a sweep: plots and tables, nothing fetched",
+    "serve": "a page of all runs in the browser of this machine: filter, compare, watch live ones",
     "import": "turn a recording (CSV, MAT) into an MCAP log",
     "export": "turn an MCAP log into CSV, Parquet or MAT; add the 3D view for Foxglove",
     "export-controller": "a controller as C source for a rig's own computer",

@@ -112,7 +112,7 @@ def main(argv: list[str]) -> int:
     if limit is None and is_on_screen and sys.stdout.isatty():
         limit = _GLANCE
     if is_on_screen and usual:
-        from trms_cli.commands.runs.screen import OVERRIDES, USUAL
+        from trms_cli.runs.table import OVERRIDES, USUAL
 
         columns = tuple(dict.fromkeys([*USUAL, *mentioned_columns, OVERRIDES]))
     else:
