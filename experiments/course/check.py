@@ -263,7 +263,7 @@ def _print(key: OpenedKey, marked: Sequence[Row], scheme: Scheme, folder: Path) 
     console.print(table)
     names = [row.marks.verdict for row in handed_in if row.answer is not None]
     console.print(
-        f"  of {wording.count(len(names), 'answer')}: {names.count('right')} effects right, "
+        f"  effects of {wording.count(len(names), 'answer')}: {names.count('right')} right, "
         f"{names.count('confusable')} confusable, {names.count('wrong')} wrong",
         highlight=False,
     )
