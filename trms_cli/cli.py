@@ -36,6 +36,7 @@ COMMANDS: dict[str, str] = {
     "diagnose": "where a model and a rig differ, which effect causes it, how far the gap shrinks",
     "investigate": "experiments, each advised by the last diagnosis, until one cause is sure",
     "blind": "prove diagnoses on sealed rigs: make a set, diagnose it, open its key",
+    "course": "a sealed rig for each student, and marks for what they hand in",
     "watch": "a run or a sweep as it goes on, or a finished run replayed",
     "sweep": "go on with a sweep that was interrupted, or tell how one stands",
     "score": "metrics of logs, and comparison with a baseline",
