@@ -13,6 +13,8 @@ JOBS ?= 2
 # folder of the blind sets, and their seed
 BLIND ?= outputs/blind
 SEED ?= 1
+# of the rigs that probabilities are fitted to, which no proof may hold
+OTHER_SEED ?= 1001
 # a model of your own for the proof, and the folder of its rig
 MODEL ?=
 RIG ?= examples/$(MODEL)
@@ -172,9 +174,16 @@ blind-imperfect: $(READY) ## proof on 180 rigs whose laws are others than the mo
 		$(BIN)/trms blind score in=$(BLIND)/$$set diagnoses=$(BLIND)/$$set.found || exit; \
 	done
 
-calibration: $(READY) ## features of 1000 simulated rigs, and how far probabilities can be trusted; hours, and called again it goes on
+calibration: $(READY) ## features of 1000 simulated rigs, and how far probabilities can be trusted; hours, and called again it goes on; MODEL=my_rig: probabilities for that model, from 120 rigs
+ifneq ($(MODEL),)
+	@cd '$(RIG)' && export TRMS_ALLOW='$(MODEL)' && trms='$(abspath $(BIN))/trms' && \
+		{ test -f '$(OWN).calibration/commitment.json' || $$trms blind make model=$(MODEL) data=$(MODEL) seed=$(OTHER_SEED) cases=120 fresh=0 out='$(OWN).calibration'; } && \
+		$$trms blind run in='$(OWN).calibration' out='$(OWN).calibration.found' 'with=["advise=false"]' $(ARGS)
+	@$(BIN)/python -m experiments.gap.calibrate --any-rig --blind '$(OWN).calibration.key' '$(OWN).calibration.found' --out '$(RIG)/configs/calibration/$(MODEL).json'
+else
 	@$(BIN)/python -m experiments.gap.simulate $(BLIND)/calibration --seed $(SEED) $(ARGS)
 	@$(BIN)/python -m experiments.gap.calibrate $(BLIND)/calibration
+endif
 
 aero-fit: $(READY) ## study: the normal state of a real Quanser Aero (RECORDS=folder with nominal_a.csv)
 	@$(BIN)/python -m experiments.aero '$(RECORDS)' $(ARGS)

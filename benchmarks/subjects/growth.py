@@ -14,7 +14,7 @@ from benchmarks.options import Options
 from benchmarks.setups import FULL_STATE, experiment, newton_horizon
 from benchmarks.subjects.parts import runner_times
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.model import Model
 from trms_cli.simulation.closed_loop import Experiment
 

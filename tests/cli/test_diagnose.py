@@ -163,7 +163,7 @@ class TestDiagnosis:
 OWN_EFFECT = '''
 from dataclasses import dataclass
 
-from trms_cli.effects.forces import QuadraticDamping
+from trms_cli.effects.quadratic_damping import QuadraticDamping
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -108,3 +108,46 @@ def test_what_is_called_a_log_is_not_imported(trms: Program, tmp_path: Path, csv
     with pytest.raises(RecordingError) as caught:
         import_.main([str(text)])
     assert "log already" not in caught.value.problem
+
+
+def _renamed(log: Path, trms: Program, tmp_path: Path, name: str, change) -> str:
+    """What `trms import` prints of a run's CSV once its header and rows were changed."""
+    trms("export", str(log), "--out", "run.csv", "--force")
+    lines = (tmp_path / "run.csv").read_text().splitlines()
+    rows = [i for i, line in enumerate(lines) if not line.startswith("#")]
+    changed = change([lines[i].split(",") for i in rows])
+    text = "\n".join([*lines[: rows[0]], *(",".join(row) for row in changed)])
+    (tmp_path / f"{name}.csv").write_text(text + "\n")
+    return trms("import", f"{name}.csv", "--force").stdout
+
+
+def test_what_only_a_model_sees_is_told(trms: Program, tmp_path: Path) -> None:
+    trms("run", "controller=pid", "ref=square", "sim.duration=25", "out=run")
+
+    def swapped(rows):
+        head = rows[0]
+        i, j = head.index("alpha_v[rad]"), head.index("alpha_h[rad]")
+        head[i], head[j] = head[j], head[i]
+        return rows
+
+    def hanging_at_zero(rows):
+        i = rows[0].index("alpha_v[rad]")
+        return [rows[0], *([*r[:i], str(float(r[i]) + 0.62), *r[i + 1 :]] for r in rows[1:])]
+
+    as_it_is = _renamed(tmp_path / "run", trms, tmp_path, "as_it_is", lambda rows: rows)
+    assert "each other's place" not in as_it_is and "off by a constant" not in as_it_is
+    assert "alpha_v and alpha_h are in each other's place" in _renamed(
+        tmp_path / "run", trms, tmp_path, "swapped", swapped
+    )
+    assert "as an encoder that was switched on while the beam hung" in _renamed(
+        tmp_path / "run", trms, tmp_path, "hanging", hanging_at_zero
+    )
+
+
+@pytest.mark.parametrize("unit", ["grad", "Grad", "grad/s"])
+def test_a_unit_with_two_meanings_is_refused(refused, tmp_path: Path, unit: str) -> None:
+    path = tmp_path / "rec.csv"
+    channel = "omega_v" if unit.endswith("/s") else "alpha_v"
+    path.write_text(f"t[s],u_v[V],alpha_h[deg],{channel}[{unit}]\n0,0,1,1\n0.1,0,1,1\n")
+    instead = f"{channel}[{unit.lower().replace('grad', 'deg')}]"
+    refused("import", str(path), words=["means degrees to some", instead])

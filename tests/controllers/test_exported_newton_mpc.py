@@ -22,10 +22,10 @@ from trms_cli.controllers.newton_mpc import NewtonMpc
 from trms_cli.controllers.qp.osqp import Osqp
 from trms_cli.core.compilation import BufferedFunction, compiler
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.cable_hysteresis import CableHysteresis
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CableHysteresis
-from trms_cli.effects.inputs import InputDelay
-from trms_cli.effects.sensors import SensorDelay
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.sensor_delay import SensorDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian

@@ -17,7 +17,7 @@ from trms_cli.core.compilation import BufferedFunction, compiler
 from trms_cli.core.errors import SimulationError
 from trms_cli.core.qp import Daqp
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model

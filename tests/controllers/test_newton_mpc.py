@@ -22,9 +22,9 @@ from trms_cli.controllers.nmpc import Nmpc
 from trms_cli.controllers.qp.osqp import Osqp
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.qp import Daqp, Qp
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.newtonian import Newtonian

@@ -30,10 +30,13 @@ from trms_cli.controllers.pid_tuning import (
     margins,
 )
 from trms_cli.core.plugins import build
+from trms_cli.effects.cable_hysteresis import CableHysteresis
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CableHysteresis, CoulombFriction, StribeckFriction
-from trms_cli.effects.inputs import InputDelay
-from trms_cli.effects.rotors import GyroscopicCoupling, RotorReaction
+from trms_cli.effects.gyroscopic_coupling import GyroscopicCoupling
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.rotor_reaction import RotorReaction
+from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.quanser_aero import QuanserAero
 from trms_cli.models.steady_state import SteadyState

@@ -18,7 +18,7 @@ from trms_cli.core.arrays import FloatArray
 from trms_cli.core.compilation import compiler
 from trms_cli.core.qp import Daqp, Qp
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.model import Model, names
 from trms_cli.models.newtonian import Newtonian
 

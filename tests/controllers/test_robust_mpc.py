@@ -31,7 +31,7 @@ from trms_cli.controllers.robust_mpc_offline import Family, RobustMpcOffline, Ro
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq
 
-from trms_cli.effects.forces import CableHysteresis, CableStiffness
+from trms_cli.effects.cable_hysteresis import CableHysteresis
+from trms_cli.effects.cable_stiffness import CableStiffness
 
 
 def test_a_linear_cable_swings_about_its_free_angle(rig):

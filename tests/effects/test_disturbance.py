@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trms_cli.effects.forces import Disturbance
+from trms_cli.effects.disturbance import Disturbance
 from trms_cli.observers.observer import ObserverSetup
 from trms_cli.observers.ukf import Ukf
 from trms_cli.plants.plant import PlantSetup

@@ -6,12 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.effects.forces import (
-    CoulombFriction,
-    QuadraticDamping,
-    RotorFriction,
-    StribeckFriction,
-)
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.quadratic_damping import QuadraticDamping
+from trms_cli.effects.rotor_friction import RotorFriction
+from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.discretisation import discretise
 
 

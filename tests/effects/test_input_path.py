@@ -6,7 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.effects.inputs import ActuatorLag, DeadZone, InputDelay, SupplyDerating, first_order
+from trms_cli.effects.actuator_lag import ActuatorLag
+from trms_cli.effects.dead_zone import DeadZone
+from trms_cli.effects.first_order import first_order
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.supply_derating import SupplyDerating
 
 
 def lag(seconds, rotor="tail"):

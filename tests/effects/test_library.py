@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from trms_cli.composition.composer import compose
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.core.plugins import _FORMER_MODULES, build, locate, with_present_targets
+from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 
 
@@ -45,16 +45,6 @@ def test_a_size_out_of_range_is_refused_by_its_key(rig, effect_name):
 def test_nothing_but_a_size_is_taken_for_one(rig, value):
     with pytest.raises(ConfigurationError):
         build(rig.node("yaw_coulomb_friction") | {"torque": value}, "effect.yaw_coulomb_friction")
-
-
-@pytest.mark.parametrize("module", _FORMER_MODULES)
-def test_a_file_of_a_former_version_names_a_class_by_its_former_module(module):
-    name = "".join(word.capitalize() for word in module.rpartition(".")[2].split("_"))
-    effect = locate(f"{module}.{name}", "effect")
-    node = {"effect": [{"own": {"_target_": f"{module}.{name}", "axis": "yaw"}}]}
-    present = {"_target_": f"{effect.__module__}.{effect.__name__}", "axis": "yaw"}
-    assert with_present_targets(node) == {"effect": [{"own": present}]}
-    assert effect.__module__ != module
 
 
 def test_an_axis_that_does_not_exist_is_refused(rig):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.effects.forces import MassImbalance
+from trms_cli.effects.mass_imbalance import MassImbalance
 from trms_cli.models.newtonian import geometry
 
 G = 9.80665

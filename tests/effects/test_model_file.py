@@ -56,7 +56,7 @@ def test_a_set_may_stand_in_the_place_of_parameters(tmp_path):
 
 def test_effects_come_with_their_sizes_and_names(rig, written):
     """Those of the library, and one that is written out under a name of its own."""
-    own = {"_target_": "trms_cli.effects.inputs.ActuatorLag", "rotor": "tail"}
+    own = {"_target_": "trms_cli.effects.actuator_lag.ActuatorLag", "rotor": "tail"}
     sizes = {
         "yaw_coulomb_friction": {"torque": 0.004},
         "main_input_delay": {},

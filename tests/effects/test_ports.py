@@ -11,11 +11,11 @@ from trms_cli.composition.composer import compose
 from trms_cli.composition.laws import at_own_port, generated_node, generated_nodes, law_of
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.plugins import build
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import ExtendedModel
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.effects.places import places_of
-from trms_cli.effects.sensors import SensorDelay
+from trms_cli.effects.sensor_delay import SensorDelay
 from trms_cli.library.tasks.diagnose import candidates_of
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from trms_cli.effects.rotors import GyroscopicCoupling, RotorReaction
+from trms_cli.effects.gyroscopic_coupling import GyroscopicCoupling
+from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.models.model import RigRotor, Signal
 from trms_cli.models.steady_state import SteadyState
 from trms_cli.models.tras import Tras

@@ -9,7 +9,11 @@ from scipy.integrate import solve_ivp
 from scipy.signal import TransferFunction, lfilter, lsim
 
 from trms_cli.core.errors import ModelError
-from trms_cli.effects.sensors import FlexibleMode, Quantisation, SensorBias, SensorDelay, TachoLag
+from trms_cli.effects.flexible_mode import FlexibleMode
+from trms_cli.effects.quantisation import Quantisation
+from trms_cli.effects.sensor_bias import SensorBias
+from trms_cli.effects.sensor_delay import SensorDelay
+from trms_cli.effects.tacho_lag import TachoLag
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.narx_file import narx

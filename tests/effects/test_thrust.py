@@ -6,7 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trms_cli.core.errors import ModelError
-from trms_cli.effects.rotors import GroundEffect, Inflow, ThrustCurve
+from trms_cli.effects.ground_effect import GroundEffect
+from trms_cli.effects.inflow import Inflow
+from trms_cli.effects.thrust_curve import ThrustCurve
 from trms_cli.models.tras import Tras
 
 AXIS = {"main": "pitch", "tail": "yaw"}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from trms_cli.composition.composer import compose
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.rotors import RotorReaction
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters

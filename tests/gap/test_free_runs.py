@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from tests.identification.greybox.rigs import measuring, recording
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.inputs import InputDelay
-from trms_cli.effects.sensors import FlexibleMode, SensorDelay
+from trms_cli.effects.flexible_mode import FlexibleMode
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.sensor_delay import SensorDelay
 from trms_cli.gap.free_runs import expected_errors, free_run_errors, history
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model

@@ -9,7 +9,7 @@ import pytest
 
 from tests.gap.diagnosis_case import FRICTION, diagnosis
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.effects.forces import CoulombFriction
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.gap import diagnosis as results
 from trms_cli.gap.diagnosis import (
     Cause,

@@ -120,14 +120,14 @@ def test_loops_are_judged_on_a_sine_and_on_squares_and_at_rest() -> None:
 
 
 def test_a_controller_that_the_corrected_model_does_not_suit_is_worse_with_it() -> None:
-    """A cable's memory is a mode that no input moves, and linear_mpc refuses it."""
+    """A cable's memory is a mode that no input moves, and lqr refuses it."""
     words = [
         "effect=[yaw_cable_hysteresis]",
-        "controller=linear_mpc",
+        "controller=lqr",
         "ref=sine",
         "sim.duration=12",
     ]
     experiment = experiment_of(compose(words).config)
     corrected = replace(experiment, model=extend_model(Newtonian(), experiment.plant.effects))
-    (gain,) = loops_of({("linear_mpc", "sine"): corrected}, Newtonian())
+    (gain,) = loops_of({("lqr", "sine"): corrected}, Newtonian())
     assert gain.is_worse and gain.after == np.inf and 0 < gain.before < 1

@@ -10,8 +10,8 @@ import pytest
 from tests.identification.greybox.rigs import recording
 from tests.identification.watched import Watched
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.multiple_shooting import MultipleShooting
 from trms_cli.identification.problem import (

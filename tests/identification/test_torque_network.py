@@ -12,7 +12,7 @@ from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.core.resources import config_folder
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import QuadraticDamping
+from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.identification.findings import _of_network
 from trms_cli.identification.free_runs import error_figures, window_runs
 from trms_cli.identification.multiple_shooting import MultipleShooting

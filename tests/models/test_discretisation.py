@@ -7,9 +7,9 @@ from scipy.integrate import solve_ivp
 
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discrete import SteppedModel, copied_states, root_of
 from trms_cli.models.discretisation import Method, discretise, factorise_matrix
 from trms_cli.models.driven_model import DrivenModel

@@ -9,8 +9,8 @@ import yaml
 
 from trms_cli.core.errors import ModelError
 from trms_cli.core.resources import config_folder
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction
 from trms_cli.effects.model_file import load_model
 from trms_cli.identification.model_writer import ModelOrigin, model_document, write_model
 from trms_cli.models.model import Model

@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from trms_cli.core.errors import ConfigurationError, ModelError
+from trms_cli.effects.cable_hysteresis import CableHysteresis
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CableHysteresis, CoulombFriction
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point

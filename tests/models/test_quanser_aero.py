@@ -6,7 +6,7 @@ import pytest
 
 from trms_cli.core.plugins import build
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.parameters import parameter_file
 from trms_cli.models.quanser_aero import QuanserAero

@@ -12,10 +12,10 @@ import pytest
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
 from trms_cli.core.qp import Daqp, Qp
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.inputs import InputDelay
-from trms_cli.effects.sensors import Quantisation
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.quantisation import Quantisation
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model, names

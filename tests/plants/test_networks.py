@@ -5,8 +5,8 @@ import pytest
 
 from tests.models.network_case import rig_like
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.plants.plant import PlantSetup
 from trms_cli.plants.sensors import Sensors

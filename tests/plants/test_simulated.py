@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from trms_cli.core.errors import ConfigurationError, SimulationError
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian, geometry
 from trms_cli.plants.disturbance import ScheduledDisturbance

@@ -8,9 +8,9 @@ import pytest
 from trms_cli.core import compilation
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ModelError
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.inputs import InputDelay
+from trms_cli.effects.input_delay import InputDelay
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.model import Model

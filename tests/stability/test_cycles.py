@@ -14,8 +14,9 @@ from scipy.special import ellipk
 
 from trms_cli.core.chart import Curve
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction, QuadraticDamping
+from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.models.model import Signal
 from trms_cli.models.newtonian import Newtonian, geometry
 from trms_cli.models.operating_point import operating_point

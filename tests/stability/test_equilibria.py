@@ -18,10 +18,11 @@ from scipy.optimize import brentq
 from trms_cli.core.chart import Note, as_data
 from trms_cli.core.errors import ModelError, TrmsError
 from trms_cli.core.findings import Findings
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.dead_zone import DeadZone
+from trms_cli.effects.disturbance import Disturbance
 from trms_cli.effects.extended_model import ExtendedModel
-from trms_cli.effects.forces import CoulombFriction, Disturbance
-from trms_cli.effects.inputs import DeadZone
-from trms_cli.effects.rotors import RotorReaction
+from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.models.driven_model import DrivenModel
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.lagrangian import Lagrangian

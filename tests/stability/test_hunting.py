@@ -12,8 +12,9 @@ from trms_cli.controllers.lqr import Lqr
 from trms_cli.controllers.pid import Pid
 from trms_cli.controllers.pid_tuning import AxisPlant, Filters, Gains, closed_loop
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction, StribeckFriction
+from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.linearisation import Linearisation
 from trms_cli.models.newtonian import Newtonian

@@ -12,9 +12,9 @@ from trms_cli.composition.composer import compose
 from trms_cli.core.chart import Line, Points
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import build
+from trms_cli.effects.cable_hysteresis import CableHysteresis
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CableHysteresis
-from trms_cli.effects.rotors import Inflow
+from trms_cli.effects.inflow import Inflow
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.newtonian import Newtonian, geometry

@@ -21,10 +21,10 @@ from hypothesis import strategies as st
 
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.findings import Findings
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.rotors import Inflow
-from trms_cli.effects.sensors import SensorBias
+from trms_cli.effects.inflow import Inflow
+from trms_cli.effects.sensor_bias import SensorBias
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian

@@ -22,10 +22,10 @@ from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.controllers.pid import Pid
 from trms_cli.controllers.pid_design import PidDesign
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import effect_names, extend_model
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.inputs import InputDelay
-from trms_cli.effects.rotors import RotorReaction
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.rotor_reaction import RotorReaction
 from trms_cli.models.discretisation import discretise
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.operating_point import operating_point

@@ -17,9 +17,11 @@ from trms_cli.core.chart import Contour, Curve, Flow, Points, as_data
 from trms_cli.core.errors import ConfigurationError, TrmsError
 from trms_cli.core.findings import Table
 from trms_cli.core.plugins import build
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction, RotorFriction, StribeckFriction
-from trms_cli.effects.inputs import SupplyDerating
+from trms_cli.effects.rotor_friction import RotorFriction
+from trms_cli.effects.stribeck_friction import StribeckFriction
+from trms_cli.effects.supply_derating import SupplyDerating
 from trms_cli.models.feedback_manual import FeedbackManual
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.single_rotor import SingleRotor

@@ -10,11 +10,11 @@ from trms_cli.controllers.open_loop import OpenLoop
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.findings import json_data
 from trms_cli.core.plugins import build
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.dead_zone import DeadZone
 from trms_cli.effects.extended_model import effect_names, extend_model
-from trms_cli.effects.forces import CoulombFriction
-from trms_cli.effects.inputs import DeadZone
-from trms_cli.effects.rotors import RotorReaction
-from trms_cli.effects.sensors import SensorBias
+from trms_cli.effects.rotor_reaction import RotorReaction
+from trms_cli.effects.sensor_bias import SensorBias
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.models.parameters import ParameterSet
 from trms_cli.stability.studies.controllability import Controllability

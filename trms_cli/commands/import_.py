@@ -16,8 +16,9 @@ Checks a recording and writes it as an MCAP log, which `trms score`, `trms run p
 `trms identify`, Foxglove and every other MCAP reader open. Prints what is in it: channels with
 units, span, rate, gaps, missing samples, quanta, outliers, delays between channels, and whether
 the loop was open or closed; of inputs the share of time at the limit, of angles that at rest,
-and how often an angle or a rotor turns round. The first fault found is told with its line and
-what to do about it; nothing is repaired in silence.
+and how often an angle or a rotor turns round. By the model of the rig it tells angles that seem
+swapped, turned round, or counted from where the beam hung when it was switched on. The first
+fault found is told with its line and what to do about it; nothing is repaired in silence.
 
   FILE           a recording, .csv or .mat
   --out LOG      where to write the log (default: FILE's name, ending in .mcap, in the
@@ -110,6 +111,9 @@ def main(argv: list[str]) -> int:
         for part, path, remarks in zip(parts, logs, preparation_remarks, strict=True)
         if prepared
     ]
+    from trms_cli.library.tasks.admission import doubts
+
+    document["notes"] += doubts(arguments.file)
     if arguments.json:
         print_json(document)
     else:

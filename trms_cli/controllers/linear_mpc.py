@@ -62,6 +62,10 @@ _SAME_TARGET = 0.01
 Way = Literal["fixed", "target", "current"]
 
 
+#: A period, of what comes later, where a mode is neither stable nor unstable.
+_DISCOUNT = 1e-6
+
+
 @dataclass(frozen=True, kw_only=True)
 class LinearMpc(HorizonSettings):
     """Linear MPC."""
@@ -206,8 +210,6 @@ class LinearProblem(NewtonProblem):
 
         Raises ConfigurationError if there is no solution.
         """
-        from scipy.linalg import solve_discrete_are
-
         A, B, horizon = self.A, self.B, self.horizon
         n, n_u = B.shape
         states, rates = np.zeros(n), np.zeros(n)
@@ -232,7 +234,7 @@ class LinearProblem(NewtonProblem):
         )
         m = n + n_u
         try:
-            P = solve_discrete_are(F, G, cost[:m, :m], cost[m:, m:], s=cost[:m, m:])
+            P = _riccati(F, G, cost[:m, :m], cost[m:, m:], cost[:m, m:])
         except (np.linalg.LinAlgError, ValueError) as error:
             raise ConfigurationError(
                 f"the cost beyond the horizon has no Riccati solution here: {error}",
@@ -243,6 +245,26 @@ class LinearProblem(NewtonProblem):
         values, vectors = np.linalg.eigh((P + P.T) / 2)
         _, root = np.linalg.qr(np.sqrt(values.clip(min=0.0))[:, None] * vectors.T)
         return root
+
+
+def _riccati(
+    F: FloatArray, G: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray
+) -> FloatArray:
+    """Solution of the discrete Riccati equation, (n, n).
+
+    A mode that neither moves by itself nor by an input (a cable's memory) lies on the unit circle:
+    whether there is a solution then hangs on rounding. What comes later is discounted by a
+    millionth a period there.
+
+    Raises LinAlgError or ValueError if there is none.
+    """
+    from scipy.linalg import solve_discrete_are
+
+    try:
+        P = solve_discrete_are(F, G, Q, R, s=S)
+    except (np.linalg.LinAlgError, ValueError):
+        P = solve_discrete_are((1 - _DISCOUNT) * F, (1 - _DISCOUNT) * G, Q, R, s=S)
+    return np.asarray(P)
 
 
 class LinearMpcState(NewtonMpcState):

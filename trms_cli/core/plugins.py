@@ -41,20 +41,6 @@ _PLAIN = {
     type(None): "null",
     Path: "a path",
 }
-#: Where files of former versions say that classes stand which now stand together.
-_FORMER_MODULES = {
-    f"trms_cli.effects.{former}": f"trms_cli.effects.{present}"
-    for present, formers in {
-        "forces": "cable_hysteresis cable_stiffness cogging constant_torque coulomb_friction "
-        "disturbance mass_imbalance quadratic_damping rotor_friction stribeck_friction",
-        "inputs": "actuator_lag backlash dead_zone gain_drift input_delay rate_limit "
-        "supply_derating",
-        "rotors": "ground_effect gyroscopic_coupling inflow rotor_reaction thrust_curve",
-        "sensors": "crosstalk dropout flexible_mode quantisation sensor_bias sensor_delay "
-        "sensor_scale tacho_lag",
-    }.items()
-    for former in formers.split()
-}
 _SIGNS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 #: A step of msgspec's path: into a mapping's value, a list's item, an object's field.
 _STEP = re.compile(r"\[\.\.\.\]|\[(\d+)\]|\.(\w+)")
@@ -78,22 +64,6 @@ def require_known(
     """Refuse a name that is not among those known, with the nearest of them."""
     if name not in allowed_names:
         raise error(problem, where=where, remedy=nearest(name, allowed_names))
-
-
-def present_target(target: str) -> str:
-    """The dotted name of a class; a file of a former version may have it in another module."""
-    module, dot, name = target.rpartition(".")
-    return f"{_FORMER_MODULES.get(module, module)}{dot}{name}"
-
-
-def with_present_targets(node: Any) -> Any:
-    """A configuration of a log with the dotted names that its classes have today."""
-    if isinstance(node, Mapping):
-        config = {key: with_present_targets(value) for key, value in node.items()}
-        if isinstance(target := config.get(TARGET), str):
-            config[TARGET] = present_target(target)
-        return config
-    return [with_present_targets(item) for item in node] if isinstance(node, list) else node
 
 
 def locate(target: str, where: str) -> Any:
@@ -123,7 +93,6 @@ def locate_function(name: str, where: str) -> Callable[..., Any]:
 
 def _locate(target: str, key: str, noun: str, is_one: Callable[[Any], bool]) -> Any:
     """What a dotted name points to; a ``noun``, by which ``is_one`` knows what may be meant."""
-    target = present_target(target)
     module_name, _, attribute = target.rpartition(".")
     if not all(part.isidentifier() for part in target.split(".")) or not module_name:
         raise ConfigurationError(

@@ -12,10 +12,13 @@ from msgspec import Meta
 
 from trms_cli.core.errors import ModelError
 from trms_cli.core.ranges import NotNegative
+from trms_cli.effects.actuator_lag import ActuatorLag
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.input_bias import InputBias
-from trms_cli.effects.inputs import ActuatorLag, InputDelay
-from trms_cli.effects.sensors import SensorBias, SensorDelay, TachoLag
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.sensor_bias import SensorBias
+from trms_cli.effects.sensor_delay import SensorDelay
+from trms_cli.effects.tacho_lag import TachoLag
 from trms_cli.models.model import Model, names
 from trms_cli.models.parameters import Parameter
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trms_cli.core.wording import gap_share, listing, number, readable
-from trms_cli.effects.forces import ConstantTorque
+from trms_cli.effects.constant_torque import ConstantTorque
 from trms_cli.gap.change import StateComparison
 from trms_cli.gap.diagnosis import (
     Cause,

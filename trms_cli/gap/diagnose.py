@@ -30,7 +30,7 @@ from trms_cli.gap.problem import (
 )
 from trms_cli.gap.race import EFFORTS, Checkpoint, run_race
 from trms_cli.gap.residuals import innovation_tests, locate, smoothed_forces
-from trms_cli.gap.sensor_marks import without_lost_samples
+from trms_cli.gap.sensor_marks import with_sensor_marks
 from trms_cli.gap.shrinkage import SealedRuns, sealed_comparison
 from trms_cli.gap.signatures import EffectTraces, effect_traces, project_traces
 from trms_cli.identification.problem import Progress, SilentProgress
@@ -115,8 +115,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
         return replace(result, seconds={"comparison": round(time.perf_counter() - start_time, 3)})
     watch.enter("refit")
     candidates, left_out = applicable_candidates(problem.model, problem.candidates)
-    datasets, lost = without_lost_samples(problem.datasets, candidates)
-    problem = replace(problem, datasets=datasets, lost_shares=lost)
+    problem = with_sensor_marks(problem, candidates)
     quick = problem.effort == "quick"
     parts = divide(
         problem.datasets,

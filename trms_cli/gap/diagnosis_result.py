@@ -235,7 +235,7 @@ def _causes(stages: StageResults) -> tuple[Cause, ...]:
             effects=effects,
             probability=probability,
             parameters=(_sizes(fitted) if (fitted := posterior.fitted(race, effects)) else {})
-            | _lost_shares(stages, effects),
+            | _marked_sizes(stages, effects),
             onset=onset_of(fitted) if fitted and probability >= _LEAST_PROBABILITY else None,
         )
         for effects, probability in posterior.probabilities.items()
@@ -245,16 +245,10 @@ def _causes(stages: StageResults) -> tuple[Cause, ...]:
     return tuple(replace(cause, probability=cause.probability / total) for cause in causes)
 
 
-def _lost_shares(stages: StageResults, effects: tuple[str, ...]) -> dict[str, SizeEstimate]:
-    """Of the readings of each sensor, with the errors of a binomial share."""
-    shares = {name: share for name, share in stages.problem.lost_shares.items() if name in effects}
-    count = sum(len(dataset) for dataset in stages.problem.datasets)
-    return {
-        f"{name}.share": SizeEstimate(
-            value=share, sd=float(np.sqrt(share * (1 - share) / count)), unit="1"
-        )
-        for name, share in shares.items()
-    }
+def _marked_sizes(stages: StageResults, effects: tuple[str, ...]) -> dict[str, SizeEstimate]:
+    """Of the effects that readings alone show."""
+    marks = stages.problem.marks.items()
+    return {f"{name}.{size}": value for name, (size, value) in marks if name in effects}
 
 
 def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:

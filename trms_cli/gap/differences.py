@@ -9,9 +9,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trms_cli.core.arrays import BoolArray, FloatArray
+from trms_cli.effects.constant_torque import ConstantTorque
 from trms_cli.effects.effect import Effect, SensorEffect
 from trms_cli.effects.extended_model import ExtendedModel
-from trms_cli.effects.forces import ConstantTorque
 from trms_cli.gap.known_state import KnownState
 from trms_cli.gap.problem import CandidateEffect, is_amplitude, variants
 from trms_cli.gap.short_runs import MissingForces, ShortRuns

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.effects.sensors import Quantisation
+from trms_cli.effects.quantisation import Quantisation
 from trms_cli.gap.diagnosis import Onset
 from trms_cli.gap.differences import Difference, DifferenceFamily, NewRecordings, SensorJump
 from trms_cli.gap.known_state import robust, robust_weight

@@ -30,7 +30,7 @@ from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import CandidateEffect, GapProblem
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
-from trms_cli.gap.sensor_marks import sensor_marks, with_marked_sensors
+from trms_cli.gap.sensor_marks import with_marked_sensors
 from trms_cli.gap.shrinkage import SealedRuns, farthest_errors, harm
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
@@ -276,12 +276,11 @@ def posterior_of(
         dependence = exogenous(forces[moments[axis]], problem.seed)
         predictable_share = dependence.predictable_share if dependence.p_value < _CERTAIN else 0.0
         features = replace(features, foretold=float(np.fmax(features.foretold, predictable_share)))
-    marked = sensor_marks(problem, candidates)
     special = special_cases(race.entries, candidates)
 
     def probabilities_given(own_features: Features) -> dict[tuple[str, ...], float]:
         by_cause = merged(probabilities_of(own_features, constants.weights), special)
-        return with_marked_sensors(by_cause, marked)
+        return with_marked_sensors(by_cause, tuple(problem.marks))
 
     probabilities = probabilities_given(features)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))

@@ -15,12 +15,13 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
 from trms_cli.core.wording import listing, number
+from trms_cli.effects.dropout import Dropout
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.places import places_of
-from trms_cli.effects.sensors import Dropout, Quantisation
+from trms_cli.effects.quantisation import Quantisation
 from trms_cli.gap.belief import Calibration
-from trms_cli.gap.diagnosis import DiagnosedRecording
+from trms_cli.gap.diagnosis import DiagnosedRecording, SizeEstimate
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.problem import FreeParameter
 from trms_cli.models.model import Model, names
@@ -64,8 +65,9 @@ class GapProblem:
     #: open: all of them are fitted, and the end of each is sealed
     investigates: bool = False
     calibration: Calibration | None = None  #: Of the belief; None: the package's
-    #: Of each sensor that shows readings again, by name of the effect, see ``sensor_marks.py``
-    lost_shares: Mapping[str, float] = field(default_factory=dict)
+    quanta: Mapping[str, float] = field(default_factory=dict)  #: Of outputs, as declared
+    #: Sizes of what readings alone show, by name of the effect and size, see ``sensor_marks.py``
+    marks: Mapping[str, tuple[str, SizeEstimate]] = field(default_factory=dict)
     warnings: tuple[str, ...] = field(default=())  #: Of the admission, to stand in the report
 
 

@@ -5,7 +5,7 @@ shows the last one again, to the last bit, while what it measures moves on by ma
 readings say nothing of the rig: a diagnosis takes them for what they are, samples that are missing.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,15 +13,22 @@ import numpy as np
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.wording import percent
 from trms_cli.gap.belief import DROPOUT, QUANTISATION
-from trms_cli.gap.diagnosis import NO_EFFECT
+from trms_cli.gap.diagnosis import NO_EFFECT, SizeEstimate
 from trms_cli.gap.problem import CandidateEffect, GapProblem, is_coarser, quantum_of
 from trms_cli.identification.dataset import Dataset
+from trms_cli.models.model import Model
+from trms_cli.models.scales import scales_of
 
+#: Share of a step by which it is read wrong.
+_READ = 1e-3
 #: Belief that a sensor whose readings show an effect has it.
 _MARKED = 0.95
+#: Steps finer than this share of a reading are rounded digits.
+_DIGITS = 1e-9
 #: Steps of the sensor a sample, from which on it moves for sure; samples before and after over
 #: which that is judged; readings lost, and their share, that are none by chance.
 _MOVING, _AROUND, _FEWEST, _LEAST_SHARE = 4.0, 3, 10, 0.01
+_RARE = 1e-6  #: Probability below which so many losses one after the other are none
 
 
 def repeated_readings(values: FloatArray) -> tuple[BoolArray, float]:
@@ -32,9 +39,13 @@ def repeated_readings(values: FloatArray) -> tuple[BoolArray, float]:
     not finite where nothing was measured. None, and a share of zero, where there are few.
     """
     none: BoolArray = np.zeros(len(values), dtype=bool)
-    quantum = quantum_of(values, "")
     step = np.diff(values, prepend=np.nan)
-    least = _MOVING * max(quantum, 1e-12 * float(np.nanmax(np.abs(values), initial=0.0))) * _AROUND
+    steps = np.abs(step[np.isfinite(step) & (step != 0)])
+    if not len(steps):
+        return none, 0.0
+    # the smallest of all, and no rounding of a file's digits: a coarser one only sees less
+    quantum = max(float(steps.min()), _DIGITS * float(np.nanmax(np.abs(values))))
+    least = _MOVING * quantum * _AROUND
     far = np.abs(values[_AROUND:] - values[:-_AROUND])
     before, after = none.copy(), none.copy()
     before[_AROUND + 1 :] = far[:-1] > least  # up to the reading that is repeated
@@ -45,24 +56,25 @@ def repeated_readings(values: FloatArray) -> tuple[BoolArray, float]:
     lost, count = repeats - near, int(moving.sum())
     if lost < max(_FEWEST, 3 * np.sqrt(repeats + near), _LEAST_SHARE * count):
         return none, 0.0
-    # wherever the next other reading is some steps away: elsewhere a loss does not matter
+    # wherever it has moved on since, or moved before and rests no longer than chance has it
     ends = np.flatnonzero(np.append(step[1:] != 0, True))
     end = ends[np.searchsorted(ends, np.arange(len(values)))]
     begin = np.maximum.accumulate(np.where(step != 0, np.arange(len(values)), 0))
     following = np.append(values, np.nan)[end + 1]
-    jump = np.abs(following - values) > _MOVING * quantum * (end - begin)
-    return (step == 0) & jump, lost / count
+    moves_on = np.abs(following - values) > _MOVING * quantum * (end - begin)
+    moved = np.append(before, False)[begin + 1]
+    share = lost / count
+    is_chance = (end - begin) * np.log(min(share, 0.99)) > np.log(_RARE)
+    return (step == 0) & (moves_on | moved & is_chance), share
 
 
-def without_lost_samples(
-    datasets: Sequence[Dataset], candidates: Mapping[str, CandidateEffect]
-) -> tuple[tuple[Dataset, ...], dict[str, float]]:
-    """Recordings without readings that were shown again, and the share lost by name of the effect.
+def with_sensor_marks(problem: GapProblem, candidates: Mapping[str, CandidateEffect]) -> GapProblem:
+    """The problem without readings that were shown again, and with what readings alone show.
 
     Of sensors alone that have such an effect among the candidates.
     """
     cleaned, shares = [], dict[str, list[float]]()
-    for dataset in datasets:
+    for dataset in problem.datasets:
         measurements, remarks = dataset.measurements.copy(), dataset.remarks
         for i, signal in enumerate(dataset.outputs):
             if f"{signal.name}{DROPOUT}" in candidates:
@@ -72,36 +84,48 @@ def without_lost_samples(
                     measurements[lost, i] = np.nan
                     remarks = (*remarks, f"{signal.name}: {percent(share)} of the readings lost")
         cleaned.append(replace(dataset, measurements=measurements, remarks=remarks))
-    means = {name: float(np.mean(of_each)) for name, of_each in shares.items()}
-    return tuple(cleaned), {name: share for name, share in means.items() if share > 0}
+    marks = {}
+    for name, of_each in shares.items():
+        mean = float(np.mean(of_each))
+        sd = float(np.sqrt(mean * (1 - mean) / sum(map(len, problem.datasets))))
+        if mean > 0:
+            marks[name] = "share", SizeEstimate(value=mean, sd=sd, unit="1")
+    bench = problem.model.bench_sizes
+    coarse = _coarser_than_other if bench else _coarser_than_declared
+    for name, quantum, unit in coarse(problem.model, problem.datasets[0], problem.quanta):
+        if name in candidates:
+            size = SizeEstimate(value=quantum, sd=_READ * quantum, unit=unit)
+            marks[name] = "quantum", size
+    return replace(problem, datasets=tuple(cleaned), marks=marks)
 
 
-def sensor_marks(problem: GapProblem, candidates: Mapping[str, CandidateEffect]) -> tuple[str, ...]:
-    """Names of the effects that readings alone show, none twice."""
-    coarse = coarse_sensor(problem, candidates)
-    return (*([coarse] if coarse else []), *problem.lost_shares)
+def _coarser_than_declared(
+    model: Model, dataset: Dataset, declared: Mapping[str, float]
+) -> Iterator[tuple[str, float, str]]:
+    """Effects of sensors whose steps are coarser than declared, and than a usual encoder's.
 
-
-def coarse_sensor(problem: GapProblem, candidates: Mapping[str, CandidateEffect]) -> str:
-    """A sensor that rounds coarser than the other shows in its steps, and in nothing else.
-
-    The name of its effect; empty where there is none.
+    With each its step and unit.
     """
-    quanta, units = {}, set()
-    for axis, definition in problem.model.axes.items():
-        for dataset in problem.datasets[:1]:
-            names_ = [s.name for s in dataset.outputs]
-            if definition.angle in names_:
-                quanta[axis] = quantum_of(dataset.measurements[:, names_.index(definition.angle)])
-                units.add(dataset.outputs[names_.index(definition.angle)].unit)
-    if len(units) > 1:  # of other kinds, with steps of their own
-        return ""
-    coarse = [
-        axis
-        for axis, quantum in quanta.items()
-        if f"{axis}_quantisation" in candidates and is_coarser(quantum, min(quanta.values()))
-    ]
-    return f"{coarse[0]}{QUANTISATION}" if coarse and len(quanta) > 1 else ""
+    travels = scales_of(model.without_effects()).travels
+    for signal, values in zip(dataset.outputs, dataset.measurements.T, strict=True):
+        quantum = quantum_of(values, signal.unit)
+        if is_coarser(quantum, declared.get(signal.name, 0.0), travels[signal.name]):
+            yield f"{signal.name}{QUANTISATION}", quantum, signal.unit
+
+
+def _coarser_than_other(
+    model: Model, dataset: Dataset, _: Mapping[str, float]
+) -> Iterator[tuple[str, float, str]]:
+    """The same of the axes of a bench: one that rounds coarser than the other."""
+    outputs = {signal.name: i for i, signal in enumerate(dataset.outputs)}
+    rows = {axis: outputs[a.angle] for axis, a in model.axes.items() if a.angle in outputs}
+    quanta = {axis: quantum_of(dataset.measurements[:, i]) for axis, i in rows.items()}
+    units = {dataset.outputs[i].unit for i in rows.values()}
+    if len(quanta) > 1 and len(units) == 1:  # of other kinds, they have steps of their own
+        for axis, quantum in quanta.items():
+            if is_coarser(quantum, min(quanta.values())):
+                yield f"{axis}{QUANTISATION}", quantum, units.copy().pop()
+                return
 
 
 def with_marked_sensors(

@@ -17,8 +17,8 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.constant_torque import ConstantTorque
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import ConstantTorque
 from trms_cli.gap.beginning import begins_at
 from trms_cli.gap.change import StateComparison
 from trms_cli.gap.competing_model import FittedModel

@@ -12,6 +12,7 @@ column already in SI never asks for it.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -247,6 +248,9 @@ def _root_units(unit: str) -> Any:
     return registry.get_root_units(registry.parse_units("" if unit == "1" else unit))[1]
 
 
+_GRAD = re.compile(r"grad(?![a-z])", re.IGNORECASE)
+
+
 def to_si(
     values: np.ndarray, unit: str, allowed: tuple[str, ...], *, where: str, name: str
 ) -> tuple[np.ndarray, str]:
@@ -264,6 +268,13 @@ def to_si(
             f"column {name!r} has empty brackets for its unit",
             where=where,
             remedy=f"write {name}[{allowed[0] if allowed else 1}]",
+        )
+    if _GRAD.match(unit):  # of a German degree, a gradian or a gigaradian
+        either = [re.sub(_GRAD, of, unit) for of in ("deg", "gon")]
+        raise RecordingError(
+            f"column {name!r}: the unit {unit!r} means degrees to some, 1/400 of a turn to others",
+            where=where,
+            remedy=f"write {name}[{either[0]}] for degrees, {name}[{either[1]}] for 400 a turn",
         )
     try:
         root = _root_units(unit)

@@ -53,7 +53,7 @@ _WANDER = 0.03 / np.sqrt(2)  #: largest standard deviation of a drive's gain
 _LINES = 24
 _NEAR_STOP, _LESS, _TRIES = 0.95, 0.5, 4  #: share of the stops; less, and how often
 _AMPLITUDE = 0.5
-_NULLS, _MEASURED = 6, 40.0  #: rigs whose mean is the floor; s
+_NULLS, _MEASURED = 24, 40.0  #: rigs whose mean is the floor; s
 _OTHER = 7919  #: between the seeds of a rig's first and second commands
 
 
@@ -101,20 +101,50 @@ class RigSource:
     ) -> tuple[list[Case], list[Recording]]:
         """Drive all rigs, those that come near a stop again with less.
 
-        Raises ConfigurationError for one that reaches a stop or falls however little it is driven.
+        One that falls however little it is driven makes place for another: its kind's effects, of
+        a rig that holds, with nuisances and an excitation of its own.
+
+        Raises ConfigurationError if none of a kind holds.
         """
         driven, recordings = self.attempt(cases, timing, seed, fresh=fresh)
-        lost = [c.effects for c, recording in zip(driven, recordings, strict=True) if not recording]
-        if lost:
-            names_lost = ", ".join("+".join(effects) or "no effect" for effects in lost)
-            raise ConfigurationError(
-                f"{len(lost)} of {len(cases)} rigs reach a stop, or fall, however little they are "
-                f"driven ({names_lost})",
-                where="model",
-                remedy="give the model an equilibrium at rest() that a linear law holds; or "
-                "another seed",
-            )
-        return driven, [recording for recording in recordings if recording]
+        random = np.random.default_rng([seed, 77])
+        for _ in range(0 if fresh else _TRIES):
+            lost = [i for i, recording in enumerate(recordings) if recording is None]
+            if not lost:
+                break
+            others = [self._instead(driven, recordings, driven[i].kind, random) for i in lost]
+            again, of_others = self.attempt(others, timing, seed, fresh=fresh)
+            for i, case, recording in zip(lost, again, of_others, strict=True):
+                driven[i], recordings[i] = case, recording
+        held = [recording for recording in recordings if recording]
+        if len(held) < len(cases):
+            raise self._falls(len(cases) - len(held), len(cases))
+        return driven, held
+
+    def _instead(
+        self,
+        cases: Sequence[Case],
+        recordings: Sequence[Recording | None],
+        kind: str,
+        random: Random,
+    ) -> Case:
+        holds = [c for c, r in zip(cases, recordings, strict=True) if r and c.kind == kind]
+        if not holds:
+            alike = [c for c in cases if c.kind == kind]
+            raise self._falls(len(alike), len(cases))
+        return replace(
+            holds[int(random.integers(len(holds)))],
+            excitation=int(random.integers(2**31)),
+            nuisances=draw_nuisances(self, random),
+        )
+
+    def _falls(self, number: int, cases: int) -> ConfigurationError:
+        return ConfigurationError(
+            f"{number} of {cases} rigs reach a stop, or fall, however little they are driven",
+            where="model",
+            remedy="give the model an equilibrium at rest() that a linear law holds; or "
+            "another seed",
+        )
 
     def attempt(
         self, cases: Sequence[Case], timing: Timing, seed: int, *, fresh: bool = False
@@ -337,9 +367,30 @@ def _ratios(
     """Gap over floor of each (effect, factor); None where the rig cannot be held."""
     random = np.random.default_rng([seed, 99])
     plain = Case(kind="null", duration=_MEASURED, amplitude=_AMPLITUDE, excitation=seed)
-    cases = [replace(plain, nuisances=draw_nuisances(source, random)) for _ in range(_NULLS)]
-    usual = cases[0].nuisances
-    cases += [replace(plain, effects={e: source.sized(e, f)}, nuisances=usual) for e, f in trials]
+    drawn = [draw_nuisances(source, random) for _ in range(_NULLS)]
+    errors = _refitted(source, [replace(plain, nuisances=n) for n in drawn], seed, sample_time)
+    nulls = [
+        (rms, nuisances) for rms, nuisances in zip(errors, drawn, strict=True) if rms is not None
+    ]
+    if not nulls:
+        raise ConfigurationError(
+            f"{source.model.name} cannot be held at rest by a linear law",
+            where="model",
+            remedy="give it an equilibrium at rest() that can be held, or stops that are farther",
+        )
+    floor = np.sqrt(np.mean([rms**2 for rms, _ in nulls], axis=0))
+    # an effect is measured on the rig in the middle: one that wanders much has a gap without any
+    ratios = [float(np.sqrt(np.mean((rms / floor) ** 2))) for rms, _ in nulls]
+    _, usual = nulls[int(np.argsort(ratios)[len(ratios) // 2])]
+    cases = [replace(plain, effects={e: source.sized(e, f)}, nuisances=usual) for e, f in trials]
+    gaps = _refitted(source, cases, seed, sample_time)
+    return [None if r is None else float(np.sqrt(np.mean((r / floor) ** 2))) for r in gaps]
+
+
+def _refitted(
+    source: RigSource, cases: Sequence[Case], seed: int, sample_time: float
+) -> list[FloatArray | None]:
+    """What a refit leaves of each rig, by output (n_y,); None where the rig cannot be held."""
     _, recordings = source.attempt(cases, Timing(sample_time=sample_time), seed)
     noise = source.least_noise()
     rms: list[FloatArray | None] = []
@@ -351,15 +402,7 @@ def _ratios(
             source.model, recording.time, recording.commands, recording.measured, noise_sd=noise
         )
         rms.append(refit(source.model, data, source.window).rms)
-    nulls = [r for r in rms[:_NULLS] if r is not None]
-    if not nulls:
-        raise ConfigurationError(
-            f"{source.model.name} cannot be held at rest by a linear law",
-            where="model",
-            remedy="give it an equilibrium at rest() that can be held, or stops that are farther",
-        )
-    floor = np.sqrt(np.mean(np.square(nulls), axis=0))
-    return [None if r is None else float(np.sqrt(np.mean((r / floor) ** 2))) for r in rms[_NULLS:]]
+    return rms
 
 
 def draw_nuisances(source: RigSource, random: Random) -> dict[str, float]:

@@ -28,10 +28,12 @@ from experiments.gap.baselines.sparse_regression import SparseRegression
 from experiments.gap.baselines.white_noise import WhiteNoiseBic
 from tests.identification.greybox.rigs import measuring, recording
 from trms_cli.core.errors import ConfigurationError
+from trms_cli.effects.actuator_lag import ActuatorLag
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.dead_zone import DeadZone
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction, QuadraticDamping
-from trms_cli.effects.inputs import ActuatorLag, DeadZone
 from trms_cli.effects.model_file import load_model
+from trms_cli.effects.quadratic_damping import QuadraticDamping
 from trms_cli.gap.diagnosis import DiagnosisResult, document_of
 from trms_cli.gap.problem import GapProblem
 from trms_cli.identification.dataset import Dataset

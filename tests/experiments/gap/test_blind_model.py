@@ -1,6 +1,7 @@
 """Rigs drawn from a model of one's own: they move as the model does, their effects do as said."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from experiments.gap.blind.cases import Case
 from experiments.gap.blind.judgement import JudgedCase, answer_of
 from experiments.gap.blind.model_rig import ModelRigs, growing_size, law_of
 from experiments.gap.blind.model_set import RigSource, draw_nuisances
-from experiments.gap.blind.recording import Timing
+from experiments.gap.blind.recording import Recording, Timing
 from trms_cli.core.compilation import BufferedFunction
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.effects.extended_model import extend_model
 from trms_cli.library.tasks.diagnose import candidates_of
 from trms_cli.models.discretisation import discretise
@@ -115,6 +117,23 @@ def test_an_unstable_rig_is_held_while_it_is_excited() -> None:
     text = source.csv_of(driven, recording)
     head = "# rig: cart_pole\n# loop: closed\nt[s],force[N],position[m],angle[rad]\n"
     assert text.startswith(head) and len(text.splitlines()) == 203
+
+
+def test_a_rig_that_falls_makes_place_for_one_that_holds(monkeypatch) -> None:
+    source = RigSource(CartPole(), {}, {}, {})
+    plain = Case(kind="pair", duration=1.0, amplitude=0.5, excitation=3)
+    falls, holds = (replace(plain, effects={name: {"size": 1.0}}) for name in ("falls", "holds"))
+    there = Recording(np.zeros(1), np.zeros((1, 1)), np.zeros((1, 2)))
+
+    def attempt(self, cases, timing, seed, *, fresh=False):
+        return list(cases), [None if "falls" in case.effects else there for case in cases]
+
+    monkeypatch.setattr(RigSource, "attempt", attempt)
+    driven, recordings = source.record([falls, holds], Timing(sample_time=SAMPLE), seed=1)
+    assert [list(case.effects) for case in driven] == [["holds"], ["holds"]]
+    assert recordings == [there, there] and driven[0].excitation != driven[1].excitation
+    with pytest.raises(ConfigurationError, match="1 of 1 rigs reach a stop, or fall"):
+        source.record([falls], Timing(sample_time=SAMPLE), seed=1)
 
 
 @pytest.fixture

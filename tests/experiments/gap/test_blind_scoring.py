@@ -20,8 +20,8 @@ from experiments.gap.blind.verdicts import document_of as score_document
 from experiments.gap.blind.verdicts import markdown
 from tests.gap.diagnosis_case import CHANNELS, diagnosis
 from trms_cli.core.resources import config_folder
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction
 from trms_cli.gap.diagnosis import document_of
 from trms_cli.models.newtonian import Newtonian
 from trms_cli.simulation.rollout import Rollout

@@ -12,7 +12,7 @@ def seeds(folder: Path) -> Iterator[bytes]:
         yield (config_folder() / "parameters" / f"{name}.yaml").read_bytes()
     bench = (config_folder() / "parameters" / "bench.yaml").read_bytes()
     yield bench + b"effects:\n  yaw_coulomb_friction: {torque: 0.004}\n"
-    own = b"effects:\n  own: {_target_: trms_cli.effects.inputs.InputDelay, delay: 0.05}\n"
+    own = b"effects:\n  own: {_target_: trms_cli.effects.input_delay.InputDelay, delay: 0.05}\n"
     yield bench + own
 
 

@@ -7,9 +7,12 @@ import pytest
 
 from tests.identification.blackbox.differences import central
 from tests.identification.greybox.rigs import measuring, recording
+from trms_cli.effects.actuator_lag import ActuatorLag
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.inputs import ActuatorLag, InputDelay, SupplyDerating
-from trms_cli.effects.sensors import FlexibleMode, SensorDelay
+from trms_cli.effects.flexible_mode import FlexibleMode
+from trms_cli.effects.input_delay import InputDelay
+from trms_cli.effects.sensor_delay import SensorDelay
+from trms_cli.effects.supply_derating import SupplyDerating
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.objective import MapObjective, ResidualWeights, sizes
 from trms_cli.identification.greybox.windows import StartEstimator, Windows

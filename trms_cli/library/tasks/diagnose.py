@@ -160,6 +160,7 @@ def request_of(composition: Composition) -> DiagnosisRequest:
         seed=options.seed,
         jobs=options.jobs,
         advise=options.advises,
+        quanta=data.quantum or {},
         calibration=_calibration(options, model, composition.config_dirs),
         warnings=tuple(str(issue) for issue in admission.warnings),
     )

@@ -8,7 +8,7 @@ from typing import Any
 from trms_cli.composition.catalogue import config_folder, read_yaml
 from trms_cli.composition.composer import Composition
 from trms_cli.core.errors import ConfigurationError, RecordingError
-from trms_cli.core.plugins import TARGET, present_target
+from trms_cli.core.plugins import TARGET
 from trms_cli.core.whole_file import replace_whole
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.model_writer import ModelOrigin
@@ -77,7 +77,7 @@ def effect_arguments(name: str, node: Mapping[str, Any]) -> dict[str, Any]:
     arguments = dict(node)
     if library.is_file():
         library_node = read_yaml(library).get(name, {})
-        if library_node.get(TARGET) == present_target(str(arguments.get(TARGET))):
+        if library_node.get(TARGET) == arguments.get(TARGET):
             del arguments[TARGET]
             arguments = {key: v for key, v in arguments.items() if library_node.get(key) != v}
     return arguments

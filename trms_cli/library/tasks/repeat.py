@@ -19,7 +19,7 @@ from trms_cli.composition.plain_values import value_at
 from trms_cli.core.data_file import not_as_written
 from trms_cli.core.errors import ConfigurationError, RecordingError, TrmsError
 from trms_cli.core.invocation import note, program
-from trms_cli.core.plugins import TARGET, locate, with_present_targets
+from trms_cli.core.plugins import TARGET, locate
 from trms_cli.core.wording import listing
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ def _config(run: LoggedRun) -> dict[str, Any]:
         ) from None
     if not isinstance(config, dict):
         raise RecordingError("the log's configuration is no mapping", where=str(run.path))
-    return {str(key): with_present_targets(value) for key, value in config.items()}
+    return {str(key): value for key, value in config.items()}
 
 
 def _differences(then: Any, now: Any, where: str) -> list[str]:

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Any
 
 from trms_cli.core.data_file import absent, json_or_none, not_as_written, read_json
 from trms_cli.core.errors import RecordingError
-from trms_cli.core.plugins import present_target
 from trms_cli.core.printable import printable
 from trms_cli.core.wording import named_files, typed_models
 from trms_cli.scoring.figures import Group, entries, of_group, part
@@ -289,14 +288,14 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[tuple[
 
 
 def flat(config: Mapping[str, Any], stem: str = "") -> dict[str, str]:
-    """A nested mapping as dotted keys; classes by the names that they have today."""
+    """A nested mapping as dotted keys."""
     values: dict[str, str] = {}
     for key, value in config.items():
         place = f"{stem}{key}"
         if isinstance(value, Mapping) and value:
             values |= flat(value, f"{place}.")
         else:
-            values[place] = "none" if value in (None, {}, []) else present_target(str(value))
+            values[place] = "none" if value in (None, {}, []) else str(value)
     return values
 
 

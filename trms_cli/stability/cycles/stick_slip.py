@@ -72,7 +72,8 @@ from trms_cli.controllers.controller import ControlSetup
 from trms_cli.controllers.pid import AxisState, Pid
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction
-from trms_cli.effects.forces import CoulombFriction, StribeckFriction
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.dry_friction import moment_index
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint

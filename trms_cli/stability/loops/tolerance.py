@@ -22,8 +22,8 @@ from typing import Literal
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray
+from trms_cli.effects.coulomb_friction import CoulombFriction
 from trms_cli.effects.extended_model import extend_model
-from trms_cli.effects.forces import CoulombFriction
 from trms_cli.models.model import Model, names
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.models.state_scales import bench_ratios

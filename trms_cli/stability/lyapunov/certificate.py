@@ -20,7 +20,9 @@ import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.effects.forces import CoulombFriction, QuadraticDamping, StribeckFriction
+from trms_cli.effects.coulomb_friction import CoulombFriction
+from trms_cli.effects.quadratic_damping import QuadraticDamping
+from trms_cli.effects.stribeck_friction import StribeckFriction
 from trms_cli.models.lagrangian import Lagrangian
 from trms_cli.models.model import Model
 from trms_cli.models.newtonian import Newtonian
