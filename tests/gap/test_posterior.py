@@ -13,6 +13,7 @@ from experiments.gap.blind.judgement import right_causes
 from experiments.gap.calibrate import features_of, fit_weights, loss, usual_shares
 from tests.gap.diagnosis_case import diagnosis
 from tests.gap.recorded import effect
+from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import json_data
 from trms_cli.gap import belief
 from trms_cli.gap.belief import (
@@ -29,7 +30,9 @@ from trms_cli.gap.belief import (
 from trms_cli.gap.diagnosis import Cause, Onset, SizeEstimate
 from trms_cli.gap.posterior import _verdict, merged, special_cases
 from trms_cli.gap.problem import applicable_candidates
+from trms_cli.gap.sensor_marks import without_rounded_zeros
 from trms_cli.library.tasks.diagnose import applied_cause, corrected_words
+from trms_cli.models.model import Signal
 from trms_cli.models.newtonian import Newtonian
 
 NAMES = (("a",), ("b",), ("a", "b"))
@@ -458,3 +461,61 @@ def test_a_corrected_model_says_which_part_it_was_fitted_to():
     compared = replace(raced, race=(*raced.race, nothing))
     assert "fitted to the beginning of the recordings with" in corrected_words(compared)
     assert corrected_words(compared).endswith("begins later")
+
+
+def test_what_is_usual_goes_by_the_place_or_by_its_kind() -> None:
+    any_rig = belief.calibration(belief.ANY_RIG)
+    shares = any_rig.usual_shares
+    assert any_rig.usual("current_actuator") == shares[belief.ACTUATOR]
+    assert any_rig.usual("carriage_force") == shares[belief.EQUATION]
+    bench = belief.calibration()
+    assert bench.usual("yaw_moment") == bench.usual_shares["yaw_moment"]
+    assert bench.usual("elsewhere") == max(bench.usual_shares.values())
+
+
+def test_a_law_is_weighed_at_any_port() -> None:
+    case = replace(
+        features(behind=0.0),
+        names=(("carriage_coulomb_friction",), ("current_lag",)),
+        scores=np.array([50.0, 50.0]),
+        behinds=np.zeros(2),
+        sizes=np.ones(2),
+        surprises=np.zeros(2),
+        errors=np.ones(2),
+    )
+    weights = belief.calibration(belief.ANY_RIG).weights
+    plain = belief.probabilities_of(case, weights)
+    assert plain["carriage_coulomb_friction",] == pytest.approx(plain["current_lag",])
+    own = belief.probabilities_of(case, {**weights, "own.coulomb_friction": 2.0})
+    assert own["carriage_coulomb_friction",] > 3 * own["current_lag",]
+
+
+@pytest.mark.parametrize("text", [None, "no JSON", "[]", '{"weights": "none"}', '{"usual": 1}'])
+def test_a_file_that_is_no_calibration_is_refused(tmp_path, text) -> None:
+    path = tmp_path / "own.json"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(ConfigurationError, match="no calibration"):
+        belief.calibration_file(path)
+
+
+def test_a_bias_within_half_a_step_is_part_of_every_rig() -> None:
+    def cause(value, *names):
+        return SimpleNamespace(
+            names=names, values={"y_bias.bias": value}, sds={"y_bias.bias": 1e-5}
+        )
+
+    y = 1e-3 * np.round(np.sin(np.linspace(0, 30, 400)) / 1e-3)[:, None]
+    dataset = SimpleNamespace(outputs=(Signal("y", "m", ""),), measurements=y)
+    problem = SimpleNamespace(
+        model=SimpleNamespace(bench_sizes=False), datasets=(dataset,), quanta={}
+    )
+    before = {("y_bias",): 0.5, ("u_lag", "y_bias"): 0.3, ("no_gap",): 0.2}
+    for value, joined in ((3e-4, True), (9e-4, False)):
+        fitted = {n: cause(value, *n) for n in before if "y_bias" in n}
+        after = without_rounded_zeros(before, fitted, problem)
+        assert sum(after.values()) == pytest.approx(1.0)
+        expected = {("no_gap",): 0.7, ("u_lag",): 0.3} if joined else before
+        assert {n: p for n, p in after.items() if p > 1e-6} == pytest.approx(expected)
+    problem.model.bench_sizes = True
+    assert without_rounded_zeros(before, {}, problem) == before
