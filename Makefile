@@ -70,8 +70,8 @@ docs-links: $(READY) ## ask for every address outside that the documentation nam
 docs-check: $(READY) ## make every table and picture of the pages anew; fails when one moved (hours; ARGS="--only chapter5", --cheap, --list, "--records DIR")
 	@$(BIN)/python -m experiments.docs_check $(ARGS)
 
-notebook: $(READY) ## execute the tour in docs/notebooks and keep its outputs
-	@$(BIN)/python -m docs.notebooks
+notebook: $(READY) ## execute the tour and the lessons of docs/course, and keep their outputs (ARGS=model)
+	@$(BIN)/python -m docs.notebooks $(ARGS)
 
 fuzz: $(READY) ## attack the readers of files: make fuzz TARGET=log MINUTES=10 (TARGET=all)
 	@$(BIN)/python -m pip install --quiet 'atheris>=2.3'

@@ -4,6 +4,7 @@ import signal
 
 from hypothesis import settings
 
+from tests.browser import browser as browser  # the fixture
 from trms_cli.core.threads import take_one_thread
 
 # As the program does, before NumPy is loaded: else sums, and what follows from their last bits,

@@ -65,13 +65,17 @@ RESTRICTED = {
     "rich": {"commands", "reporting"},
     "matplotlib": {"reporting"},
     "mcap": {"recordings"},
-    "pyarrow": {"recordings"},
+    "pyarrow": {"recordings", "runs"},
     "pint": {"recordings"},
     "scipy.io": {"recordings"},
+    "starlette": {"library"},
+    "uvicorn": {"library"},
 }
 
 # What `trms --help` must not wait for.
-HEAVY = {"numpy", "scipy", "casadi", "hydra", "omegaconf", "rich", "matplotlib", "pyarrow"}
+HEAVY = {
+    "numpy", "scipy", "casadi", "hydra", "omegaconf", "rich", "matplotlib", "pyarrow", "uvicorn",
+}  # fmt: skip
 LIGHT_ENOUGH = {"yaml", "msgspec"}  # but not for the first page
 
 

@@ -92,6 +92,11 @@ def _pages(scratch: Path) -> None:
     first_look.draw_pages(HERE, program, scratch)
 
 
+def _served(scratch: Path) -> None:
+    program, _ = _installed(scratch)
+    first_look.draw_served(HERE, program, scratch)
+
+
 def _installed(scratch: Path) -> tuple[str, dict[str, Any]]:
     """The program, and how it is started: found on the path, it tells the next commands by its
     bare name."""
@@ -109,6 +114,7 @@ PARTS: dict[str, Callable[[Path], None]] = {
     "plots": _plots,
     "moving": _moving,
     "pages": _pages,
+    "served": _served,
 }
 
 

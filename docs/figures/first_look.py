@@ -7,10 +7,13 @@ the terminal shows the lines that ``trms watch`` would, the pages are those of `
 
 from __future__ import annotations
 
+import contextlib
 import io
+import os
 import shutil
 import subprocess
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +40,11 @@ RIG = [
     "signal@controller.u_h=multilevel", "controller.u_h.amplitude=0.8", "plant.prior_seed=3",
     "effect=yaw_coulomb_friction", "sim.duration=120",
 ]  # fmt: skip
+#: The runs that are listed: two controllers on rigs drawn from the priors.
+SERVED_SWEEP = [
+    "controller=pid,lqr,newton_mpc", "plant.prior_seed=range(1,5)", "sim.duration=20",
+    "picture=false",
+]  # fmt: skip
 #: Of the square, s: two of its steps; every so many poses (10 a second) make a frame.
 _SHOWN, _EVERY = (18.0, 45.0), 3
 #: Of ``trms watch --speed 4``: s of the run, frames per second of the picture.
@@ -54,7 +62,7 @@ def draw_moving(folder: Path, program: str, scratch: Path) -> None:
 
 
 def draw_pages(folder: Path, program: str, scratch: Path) -> None:
-    """``run_page.png`` and ``diagnosis_page.png``."""
+    """``run_page.png``, ``diagnosis_page.png`` and ``serve_list.png``."""
     _run(program, scratch, "run", *RUN, "picture=false", "out=first")
     _run(program, scratch, "report", "first")
     _run(program, scratch, "run", *RIG, "picture=false", "out=rig")
@@ -69,6 +77,42 @@ def draw_pages(folder: Path, program: str, scratch: Path) -> None:
     }
     for name, (page, section, until) in pages.items():
         (folder / name).write_bytes(page_picture(page, section, until))
+
+
+def draw_served(folder: Path, program: str, scratch: Path) -> None:
+    """``serve_list.png``: the list of ``trms serve`` over a sweep, while a run goes on."""
+    home, scratch = scratch, scratch / "lab"
+    scratch.mkdir()
+    _run(program, scratch, "run", "-m", *SERVED_SWEEP, "out=sweep")
+    _run(program, scratch, "run", "controller=pid", "fault=yaw_encoder_frozen", "out=frozen")
+    live = [program, "run", "controller=newton_mpc", "sim.pace=real_time", "sim.duration=60"]
+    environment = os.environ | {"TRMS_RUNS": str(home / "index"), "HOME": str(home)}
+    output: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
+    with (
+        subprocess.Popen([*live, "out=live"], cwd=scratch, **output) as run,
+        subprocess.Popen(
+            [program, "serve", "port=0"], cwd=scratch, env=environment, **output
+        ) as server,
+    ):
+        try:
+            assert server.stdout is not None
+            lines = iter(server.stdout.readline, "")
+            address = next(line.split()[1] for line in lines if "http://" in line)
+            while not any((scratch / "live").glob("run.mcap")):
+                time.sleep(0.1)
+            time.sleep(5.0)
+            (folder / "serve_list.png").write_bytes(_head_of(address))
+        finally:
+            server.terminate()
+            run.terminate()
+
+
+def _head_of(address: str, *, width: int = 1100, height: int = 640) -> bytes:
+    """The head of a page of a server, as a PNG."""
+    with _tab(width, height) as tab:
+        tab.goto(address)
+        tab.wait_for_selector("html[data-plots=drawn]", state="attached")
+        return _few_tones(Image.open(io.BytesIO(tab.screenshot())).convert("RGB"))
 
 
 def _run(program: str, scratch: Path, *words: str) -> None:
@@ -214,15 +258,7 @@ def animation(frames: Sequence[Image.Image], *, pause: float) -> bytes:
 
 def page_picture(page: Path, section: str, until: str, *, width: int = 1000) -> bytes:
     """The head of a page, and below it one section down to its first plot, as a PNG."""
-    from playwright.sync_api import sync_playwright
-
-    names = ("chromium", "chromium-browser", "google-chrome")
-    executable = next((path for name in names if (path := shutil.which(name))), None)
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=executable, args=["--no-sandbox", "--disable-gpu"]
-        )
-        tab = browser.new_page(viewport={"width": width, "height": 4000})
+    with _tab(width, 4000) as tab:
         tab.goto(page.as_uri())
         if tab.locator("div.plot").count():
             tab.wait_for_selector("html[data-plots=drawn]", state="attached")
@@ -237,7 +273,6 @@ def page_picture(page: Path, section: str, until: str, *, width: int = 1000) -> 
             [section, until],
         )
         whole = Image.open(io.BytesIO(tab.screenshot())).convert("RGB")
-        browser.close()
     head_ends, begins, stops = (round(place) for place in ends)
     parts = [(0, head_ends), (begins, stops)]
     picture = Image.new("RGB", (whole.width, sum(b - a for a, b in parts)), PAPER)
@@ -245,6 +280,25 @@ def page_picture(page: Path, section: str, until: str, *, width: int = 1000) -> 
     for above, below in parts:
         picture.paste(whole.crop((0, above, whole.width, below)), (0, place))
         place += below - above
+    return _few_tones(picture)
+
+
+@contextlib.contextmanager
+def _tab(width: int, height: int) -> Iterator[Any]:
+    """A tab of a headless Chromium."""
+    from playwright.sync_api import sync_playwright
+
+    names = ("chromium", "chromium-browser", "google-chrome")
+    executable = next((path for name in names if (path := shutil.which(name))), None)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=executable, args=["--no-sandbox", "--disable-gpu"]
+        )
+        yield browser.new_page(viewport={"width": width, "height": height})
+        browser.close()
+
+
+def _few_tones(picture: Image.Image) -> bytes:
     picture = picture.quantize(_TONES, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     content = io.BytesIO()
     picture.save(content, format="png", optimize=True)

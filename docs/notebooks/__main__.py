@@ -1,4 +1,6 @@
-"""``python -m docs.notebooks``: execute the notebooks and keep what they show.
+"""``python -m docs.notebooks``: execute the tour and the lessons and keep what they show.
+
+Names behind it (``python -m docs.notebooks estimate``) are of the notebooks that are executed.
 
 A cell that raises stops it, and the file stays as it was. Folders named by their time, paths and
 timings are taken out of the outputs, so that only what changed in substance changes the file.
@@ -9,6 +11,7 @@ from __future__ import annotations
 import re
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,8 @@ import nbformat
 from nbclient import NotebookClient
 
 HERE = Path(__file__).parent
+#: Folders that hold notebooks.
+FOLDERS = (HERE, HERE.parent / "course")
 #: What a machine, a day and a clock leave in a text, and what stands for it.
 _OWN = (
     (re.compile(r"(?<!\w)(/[\w.-]+)+/outputs/"), "outputs/"),
@@ -60,7 +65,8 @@ def without_machine(notebook: Any) -> Any:
         "language_info": {"name": "python"},
     }
     for number, cell in enumerate(notebook.cells):
-        cell.id, cell.metadata = f"cell-{number}", {}
+        tags = cell.metadata.get("tags")  # a solution is folded by one
+        cell.id, cell.metadata = f"cell-{number}", {"tags": tags} if tags else {}
         if cell.cell_type != "code":
             continue
         cell.execution_count = None
@@ -98,9 +104,14 @@ def _plain(text: str) -> str:
     return text
 
 
-def main() -> int:
-    """Execute each notebook, and save it."""
-    for file in sorted(HERE.glob("*.ipynb")):
+def notebooks() -> list[Path]:
+    """All notebooks of the documentation."""
+    return [file for folder in FOLDERS for file in sorted(folder.glob("*.ipynb"))]
+
+
+def main(names: Sequence[str] = ()) -> int:
+    """Execute each notebook, or those that are named, and save it."""
+    for file in (file for file in notebooks() if not names or file.stem in names):
         with tempfile.TemporaryDirectory() as folder:
             notebook = without_machine(execute(file, Path(folder)))
         draft = file.with_suffix(".new")
@@ -111,4 +122,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -11,13 +11,10 @@ from mcap.reader import make_reader
 from trms_cli.cli import main
 from trms_cli.library.tasks.scene import scene_of_log
 from trms_cli.recordings.export import export_log
+from trms_cli.recordings.foxglove.scene_log import scene_messages
+from trms_cli.recordings.foxglove.types import SCENE_TOPICS, layout
 from trms_cli.recordings.log_reader import LogTail, TopicTable, read_log
-from trms_cli.reporting.foxglove.scene_log import scene_messages
-from trms_cli.reporting.foxglove.types import encoded_topics, layout
 from trms_cli.reporting.scene_picture import frames_of
-
-#: All that the viewer alone reads.
-SCENE_TOPICS = tuple(topic.name for topic in encoded_topics())
 
 ROOT = Path(__file__).parents[2]
 SHORT = ("sim.duration=2", "picture=false")

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from tests.program import Program, forgotten, in_process
-from tests.reporting.conftest import browser as browser  # the fixture
 
 ROOT = Path(__file__).parents[2]
 

@@ -30,8 +30,8 @@ from .markdown import REASONS, Block, blocks
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
     page
-    for pattern in ("README.md", "docs/*.md", "docs/how-to/*.md", "docs/reference/*.md",
-                    "*/*/README.md")
+    for pattern in ("README.md", "docs/*.md", "docs/course/*.md", "docs/how-to/*.md",
+                    "docs/reference/*.md", "*/*/README.md")
     for page in ROOT.glob(pattern)
 )  # fmt: skip
 #: Pages whose runs are looked at afterwards: as long as they say.
@@ -44,6 +44,7 @@ QUICK = {"docs/writing-a-plugin.md", "docs/recordings.md", "docs/excitation.md",
          "docs/foxglove.md", "docs/how-to/cluster-sweep.md", "docs/how-to/own-controller.md",
          "docs/watch.md"}  # fmt: skip
 WHOLE += ["docs/your-own-rig.md"]  # with a diagnosis
+WHOLE += ["docs/course/lecturer.md"]  # whose rigs are as short as they can be
 #: Pages that only lead to others, and the glossary itself.
 FRONT = {"index.md", "start.md", "glossary.md", "choices.md"}
 _SHORT = 2.0  # s
@@ -272,8 +273,9 @@ def test_links_lead_somewhere_and_no_path_out_of_the_checkout(page: Path) -> Non
 def test_every_page_is_in_one_of_the_five_parts() -> None:
     parts = ("start", "how-to", "understand", "reference", "proof")
     texts = {part: (ROOT / "docs" / f"{part}.md").read_text(encoding="utf-8") for part in parts}
-    for page in [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("how-to/*.md")]:
-        name = page.relative_to(ROOT / "docs").as_posix()
+    docs = ROOT / "docs"
+    for page in [*docs.glob("*.md"), *docs.glob("how-to/*.md"), *docs.glob("course/*.*")]:
+        name = page.relative_to(docs).as_posix()
         if name.removesuffix(".md") not in (*parts, "index"):
             there = [part for part, text in texts.items() if f"]({name})" in text]
             assert len(there) == 1, f"{name} is in {there or 'no part'} of {parts}"

@@ -3,18 +3,17 @@
 Needs Chromium: skipped where there is none, but where ``TRMS_REQUIRE_BROWSER`` is set.
 """
 
-import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests import page_audit
+
 #: The site is built first, and each of its pages is looked at in three widths.
 pytestmark = pytest.mark.slow
 
-AUDIT = Path(__file__).with_name("page_audit.js").read_text(encoding="utf-8")
-WIDTHS = (1400, 800, 360)  # px
 PARTS = ["Start", "How-to", "Understand", "Reference", "Proof"]
 
 
@@ -40,13 +39,7 @@ def audit(page: Any, file: Path, messages: list[str]) -> list[str]:
     """What is wrong with a page at every width, in words."""
     messages.clear()
     page.goto(file.as_uri())
-    wrong = []
-    for width in WIDTHS:
-        page.set_viewport_size({"width": width, "height": 900})
-        for what, where in page.evaluate(AUDIT).items():
-            if where:
-                wrong.append(f"{width} px: {what}: {json.dumps(where, ensure_ascii=False)[:300]}")
-    return wrong + [f"console: {message}" for message in messages]
+    return page_audit.audit(page) + [f"console: {message}" for message in messages]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

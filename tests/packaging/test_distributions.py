@@ -26,6 +26,19 @@ trms report newton --out newton.html
 trms plot newton/run.mcap --format pdf --out newton.pdf
 trms init my_rig
 """
+#: A page of the runs, asked for as a browser does.
+SERVED = """
+from http.cookiejar import CookieJar
+from urllib.request import HTTPCookieProcessor, build_opener
+from trms_cli.library.server.application import application_of, listening_socket, running
+from trms_cli.library.server.catalogue import Catalogue
+
+with listening_socket(0) as own:
+    application = application_of(Catalogue([]), own.getsockname()[1])
+    with running(application, own):
+        opener = build_opener(HTTPCookieProcessor(CookieJar()))
+        print(opener.open(application.address).read().decode())
+"""
 #: What a bench writes.
 RECORDING = "t[ms],u_v[%],alpha_v[deg],omega_v[rpm]\n" + "".join(
     f"{20 * k},{10 * (k % 2)},{0.1 * k},{3 * k}\n" for k in range(5)
@@ -88,6 +101,7 @@ def test_it_works_outside_of_its_checkout(environment_with, bounds, version):
     score = json.loads(environment.run("trms", "score", "newton/run.mcap", "--json"))
     assert score["complete"] and score["channels"]["alpha_v"]["rmse"] < 1.0
     assert "pid" in environment.run("trms", "compare", "newton", "pid")
+    assert ">newton</a>" in environment.run("python", "-c", SERVED)
     said = environment.run("trms", "run", "controller=nobody", code=2)
     assert "Traceback" not in said
 

@@ -19,11 +19,11 @@ from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_strea
 
 from trms_cli import __version__
 from trms_cli.core.scene import Ring, Scene
+from trms_cli.recordings.foxglove.messages import SceneEncoder
+from trms_cli.recordings.foxglove.scene_log import Sources, find_sources, write_with_scene
 from trms_cli.recordings.log_reader import read_log
 from trms_cli.recordings.run_log import RunLog
 from trms_cli.recordings.topics import Field, Topic
-from trms_cli.reporting.foxglove.messages import SceneEncoder
-from trms_cli.reporting.foxglove.scene_log import Sources, find_sources, write_with_scene
 
 
 @pytest.fixture(params=["full", "empty", "viewed"])

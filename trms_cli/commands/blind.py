@@ -3,14 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
-from typing import TYPE_CHECKING
 
-from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.plugins import nearest
-
-if TYPE_CHECKING:
-    from trms_cli.composition.composer import Task
+from trms_cli.commands.source_checkout import CheckoutCommand
 
 SUMMARY = "prove diagnoses on sealed rigs: make a set, diagnose it, open its key"
 
@@ -32,6 +26,7 @@ sets
   imperfect         120 rigs whose laws are others than the model's, with a cause on top
   imperfect_curves  60 rigs whose laws no power describes, with a cause on top
   calibration       1000 rigs that probabilities are fitted to
+  course            30 rigs as `trms course` gives them to students
   own               with model=NAME: 96 rigs drawn from a model of your own, with the effects that
                     are generated for it; how large they have to be is measured first
 
@@ -51,55 +46,16 @@ options of each of the three
   --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
 """
 
-#: Values that are paths, or hold some: quoted, so that an ``=`` in them is not read as a key.
-_PATHS = ("in", "out", "key", "diagnoses")
-
-
-#: Its words, each a module of the proof with a function ``perform``.
-_TASKS = ("make", "run", "score")
+_COMMAND = CheckoutCommand(
+    name="blind",
+    what="the proof on sealed rigs",
+    package="experiments.gap.blind",
+    words=("make", "run", "score"),
+    paths=("in", "out", "key", "diagnoses"),
+    otherwise="; or all three by make blind",
+)
 
 
 def main(argv: Sequence[str]) -> int:
     """Do the one of the three that is asked for."""
-    from trms_cli.commands.execution import execute
-
-    word, *rest = argv or ["nothing"]
-    if word not in _TASKS:
-        raise ConfigurationError(
-            f"{word!r} given" if argv else "nothing given",
-            where="trms blind",
-            remedy=f"{nearest(word, _TASKS)}; more by trms blind --help",
-        )
-    return execute([_quoted(w) for w in rest], f"blind_{word}", _task(word))
-
-
-def _task(word: str) -> Task:
-    """What does it: the proof lies beside the package in its source, and is not installed with it.
-
-    Raises ConfigurationError where this is no source checkout.
-    """
-    try:
-        task: Task = import_module(f"experiments.gap.blind.{word}").perform
-    except ModuleNotFoundError as error:
-        if not (error.name or "").startswith("experiments"):
-            raise
-        raise ConfigurationError(
-            "the proof on sealed rigs is part of the source checkout, which is not installed here",
-            where=f"trms blind {word}",
-            remedy="in a clone of the repository: make setup, then .venv/bin/trms blind "
-            f"{word} …; or all three by make blind",
-        ) from error
-    return task
-
-
-def _quoted(word: str) -> str:
-    """A path, or a list of NAME=FOLDER, in Hydra's words."""
-    from trms_cli.composition.overrides import quote_value
-
-    key, equals, value = word.partition("=")
-    if key not in _PATHS or not equals or not value or value == "null":
-        return word
-    if value.startswith("[") and value.endswith("]"):
-        items = [item.strip().strip("'\"") for item in value[1:-1].split(",")]
-        return f"{key}=[{','.join(quote_value(item) for item in items if item)}]"
-    return f"{key}={quote_value(value)}"
+    return _COMMAND.main(argv)

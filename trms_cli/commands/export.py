@@ -117,7 +117,7 @@ def main(argv: list[str]) -> int:
 def _add_scene(log: LoggedRun, out: Path, *, force: bool) -> int:
     """Write the log with a 3D view; the number of poses."""
     from trms_cli.library.tasks.scene import scene_of_log
-    from trms_cli.reporting.foxglove.scene_log import write_with_scene
+    from trms_cli.recordings.foxglove.scene_log import write_with_scene
 
     scene = scene_of_log(log)
     every = scene.every(_POSE_EVERY)
@@ -126,7 +126,7 @@ def _add_scene(log: LoggedRun, out: Path, *, force: bool) -> int:
 
 def _write_layout(path: Path, *, force: bool) -> None:
     from trms_cli.core.whole_file import whole_file
-    from trms_cli.reporting.foxglove.types import layout
+    from trms_cli.recordings.foxglove.types import layout
 
     with whole_file(path, force=force) as temporary:
         temporary.write_bytes(layout())

@@ -11,9 +11,9 @@ from trms_cli.core.errors import EXIT_OK, ConfigurationError, RecordingError
 from trms_cli.core.invocation import program
 from trms_cli.core.printable import print_json
 from trms_cli.library.tasks.scene import scene_of_log
+from trms_cli.recordings.foxglove.scene_log import scene_messages
+from trms_cli.recordings.foxglove.types import ARROWS, BODIES, TRANSFORMS
 from trms_cli.recordings.log_reader import LoggedRun, read_log
-from trms_cli.reporting.foxglove.scene_log import scene_messages
-from trms_cli.reporting.foxglove.types import ARROWS, BODIES, TRANSFORMS
 from trms_cli.runs.run_folder import LOG_NAME, log_of
 
 SUMMARY = "figures of logs for a paper, slides or a page: PNG, SVG, PDF"

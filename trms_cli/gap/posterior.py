@@ -30,7 +30,7 @@ from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import CandidateEffect, GapProblem
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
-from trms_cli.gap.sensor_marks import with_marked_sensors
+from trms_cli.gap.sensor_marks import with_marked_sensors, without_rounded_zeros
 from trms_cli.gap.shrinkage import SealedRuns, farthest_errors, harm
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
@@ -277,9 +277,11 @@ def posterior_of(
         predictable_share = dependence.predictable_share if dependence.p_value < _CERTAIN else 0.0
         features = replace(features, foretold=float(np.fmax(features.foretold, predictable_share)))
     special = special_cases(race.entries, candidates)
+    entries = {e.names: e for e in race.entries}
 
     def probabilities_given(own_features: Features) -> dict[tuple[str, ...], float]:
         by_cause = merged(probabilities_of(own_features, constants.weights), special)
+        by_cause = without_rounded_zeros(by_cause, entries, problem)
         return with_marked_sensors(by_cause, tuple(problem.marks))
 
     probabilities = probabilities_given(features)
@@ -289,7 +291,6 @@ def posterior_of(
         probabilities_given(resampled_features(features, race, behinds, random.integers(0, m, m)))
         for _ in range(_RESAMPLES)
     )
-    entries = {e.names: e for e in race.entries}
     parts = [simulated_part(n) for n in probabilities]
     best = next((entries[part] for part in parts if part in entries), None)
     confusable: tuple[tuple[str, ...], ...] = ()

@@ -9,16 +9,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import norm
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.wording import percent
-from trms_cli.gap.belief import DROPOUT, QUANTISATION
+from trms_cli.gap.belief import DROPOUT, QUANTISATION, simulated_part
+from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import NO_EFFECT, SizeEstimate
 from trms_cli.gap.problem import CandidateEffect, GapProblem, is_coarser, quantum_of
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model
 from trms_cli.models.scales import scales_of
 
+#: What the name of a sensor's constant error ends in.
+BIAS = "_bias"
 #: Share of a step by which it is read wrong.
 _READ = 1e-3
 #: Belief that a sensor whose readings show an effect has it.
@@ -46,11 +50,13 @@ def repeated_readings(values: FloatArray) -> tuple[BoolArray, float]:
     # the smallest of all, and no rounding of a file's digits: a coarser one only sees less
     quantum = max(float(steps.min()), _DIGITS * float(np.nanmax(np.abs(values))))
     least = _MOVING * quantum * _AROUND
-    far = np.abs(values[_AROUND:] - values[:-_AROUND])
-    before, after = none.copy(), none.copy()
-    before[_AROUND + 1 :] = far[:-1] > least  # up to the reading that is repeated
-    after[:-_AROUND] = far > least
-    moving = before & after & np.isfinite(step)
+    far = values[_AROUND:] - values[:-_AROUND]
+    past, coming = np.zeros(len(values)), np.zeros(len(values))
+    past[_AROUND + 1 :] = far[:-1]  # up to the reading that is repeated
+    coming[:-_AROUND] = far
+    before = np.abs(past) > least
+    # one way: where a motion turns round it rests for a moment
+    moving = before & (np.abs(coming) > least) & (past * coming > 0) & np.isfinite(step)
     repeats = int(np.sum(step[moving] == 0))
     near = int(np.sum(np.abs(np.abs(step[moving]) - quantum) < 0.5 * quantum)) / 2
     lost, count = repeats - near, int(moving.sum())
@@ -102,14 +108,14 @@ def with_sensor_marks(problem: GapProblem, candidates: Mapping[str, CandidateEff
 def _coarser_than_declared(
     model: Model, dataset: Dataset, declared: Mapping[str, float]
 ) -> Iterator[tuple[str, float, str]]:
-    """Effects of sensors whose steps are coarser than declared, and than a usual encoder's.
+    """Effects of sensors whose steps are coarser than declared, else than a usual encoder's.
 
     With each its step and unit.
     """
     travels = scales_of(model.without_effects()).travels
     for signal, values in zip(dataset.outputs, dataset.measurements.T, strict=True):
-        quantum = quantum_of(values, signal.unit)
-        if is_coarser(quantum, declared.get(signal.name, 0.0), travels[signal.name]):
+        quantum, said = quantum_of(values, signal.unit), declared.get(signal.name, 0.0)
+        if is_coarser(quantum, said, 0.0 if said else travels[signal.name]):
             yield f"{signal.name}{QUANTISATION}", quantum, signal.unit
 
 
@@ -126,6 +132,50 @@ def _coarser_than_other(
             if is_coarser(quantum, min(quanta.values())):
                 yield f"{axis}{QUANTISATION}", quantum, units.copy().pop()
                 return
+
+
+def without_rounded_zeros(
+    probabilities: Mapping[tuple[str, ...], float],
+    fitted: Mapping[tuple[str, ...], FittedModel],
+    problem: GapProblem,
+) -> dict[tuple[str, ...], float]:
+    """Each cause's probability given to that without a bias of less than half a step of its sensor.
+
+    No encoder's zero is known any better, so that such a bias is part of every rig; by the error of
+    the fitted bias. ``fitted``: by names of effects. On benches, whose biases were calibrated, as
+    it is.
+    """
+    if problem.model.bench_sizes:
+        return dict(probabilities)
+    columns = zip(problem.datasets[0].outputs, problem.datasets[0].measurements.T, strict=True)
+    steps = {
+        f"{signal.name}{BIAS}": max(quantum_of(y, signal.unit), problem.quanta.get(signal.name, 0))
+        for signal, y in columns
+    }
+    totals: dict[tuple[str, ...], float] = {}
+    none = max(("no_gap", "parameters_only"), key=lambda name: probabilities.get((name,), 0.0))
+    for names, probability in probabilities.items():
+        entry, shares = fitted.get(simulated_part(names)), {names: 1.0}
+        for name in names:
+            if entry is not None and steps.get(name):
+                value, sd = (of[f"{name}.bias"] for of in (entry.values, entry.sds))
+                within = float(
+                    np.diff(norm.cdf([-0.5, 0.5], value / steps[name], (sd or 1e-9) / steps[name]))[
+                        0
+                    ]
+                )
+                shares = {
+                    after: share * part
+                    for before, share in shares.items()
+                    for after, part in (
+                        (before, 1 - within),
+                        (tuple(n for n in before if n != name), within),
+                    )
+                }
+        for own, share in shares.items():
+            cause = own or (none,)
+            totals[cause] = totals.get(cause, 0.0) + share * probability
+    return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
 def with_marked_sensors(

@@ -96,7 +96,8 @@ class Comparison:
     def _repr_html_(self) -> str:
         rows = [_flat(row) for row in self._rows]
         names = list(dict.fromkeys(name for row in rows for name in row))
-        return html.table(names, [[row.get(name) for name in names] for row in rows])
+        cells = [[row.get(name) for name in names] for row in rows]
+        return html.view(html.table(repr(self)[1:-1], names, cells))
 
 
 def compare(

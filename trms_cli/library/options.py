@@ -35,7 +35,7 @@ class Options(Mapping[str, str]):
         return "\n".join([self.title, *(f"  {n:{width}}{t}" for n, t in self._lines.items())])
 
     def _repr_html_(self) -> str:
-        return html.table([self.title, ""], self._lines.items())
+        return html.view(html.table(self.title, ["name", "what"], self._lines.items()))
 
 
 @dataclass(frozen=True, repr=False)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from trms_cli.composition.arguments import Arguments, arguments_of, path_of
 from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.core.findings import Findings, Section
 from trms_cli.core.wording import named_files
 from trms_cli.library import html
 from trms_cli.library.call import call_command, call_task, words_of
@@ -28,14 +29,6 @@ if TYPE_CHECKING:
 
 #: Pixels of the picture in a notebook.
 _WIDTH = 640
-#: Figures of the table in a notebook: key of a channel, label.
-_FIGURES = (
-    ("rmse", "RMSE"),
-    ("max_abs_error", "largest error"),
-    ("overshoot_percent", "overshoot, worst step [%]"),
-    ("settling_time_s", "settling time, worst step [s]"),
-    ("steady_state_error", "steady-state error"),
-)
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -168,24 +161,23 @@ class Run(Result):
         ended = [] if self.outcome == "completed" else [self.outcome]
         return f"<Run {' | '.join([self.headline, *ended, *errors, str(self.log)])}>"
 
-    def _repr_html_(self) -> str:
-        return "".join(self._html())
+    @property
+    def findings(self) -> Findings:
+        """What is worth telling of it, as its page has it."""
+        from trms_cli.scoring.findings import answer, measures_of, tables_of, warnings_of
 
-    def _html(self) -> Any:
-        channels = self.score["channels"]
-        yield html.paragraph(self.headline, bold=True)
-        if self.outcome != "completed":
-            yield html.paragraph(f"{self.outcome}; {'; '.join(self.logged.problems)}")
-        if channels:
-            head = ["", *(f"{name} [{c['unit']}]" for name, c in channels.items())]
-            rows = [
-                [label, *(c.get(key) for c in channels.values())]
-                for key, label in _FIGURES
-                if any(c.get(key) is not None for c in channels.values())
-            ]
-            yield html.table(head, rows)
-        yield html.picture(self._small_picture())
-        yield html.files({"log": self.log})
+        who = str(self.choices.get("controller") or "The run")
+        problems = [f"**{self.outcome}**: {'; '.join(self.logged.problems)}"]
+        return Findings(
+            self.headline,
+            [answer(self.score, who), *(problems if self.outcome != "completed" else [])],
+            [Section("Score", blocks=tables_of(self.score), folded=True)],
+            measures=measures_of(self.score),
+            warnings=warnings_of(self.score),
+        )
+
+    def _repr_html_(self) -> str:
+        return html.view(self.findings, [self._small_picture()], {"log": self.log})
 
     def _small_picture(self) -> bytes:
         picture = self.pictures.get("run")

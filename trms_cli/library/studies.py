@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -33,8 +34,10 @@ class StudyResult(Result):
     def _repr_html_(self) -> str:
         named = {key: self.folder / name for key, name in self.FILES.items()}
         written = {key: path for key, path in named.items() if path.is_file()}
-        text = html.findings(self.findings, self.headline, {**written, "page": self.report})
-        return text + "".join(html.picture(f.read_bytes()) for f in self.pictures.values())
+        pictures = [file.read_bytes() for file in self.pictures.values()]
+        findings = html.on_screen(self.findings)
+        findings = replace(findings, title=findings.title or self.headline)
+        return html.view(findings, pictures, {**written, "page": self.report})
 
 
 class Fit(StudyResult):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from trms_cli.composition.arguments import Arguments, arguments_of, path_of, text_of
 from trms_cli.core.errors import ConfigurationError, RecordingError
+from trms_cli.core.findings import Findings, Judgement, Measure, Section, Table
 from trms_cli.library import html
 from trms_cli.library.call import remarks, turn, words_of
 from trms_cli.library.comparison import Comparison, compare
@@ -113,16 +114,23 @@ class Sweep(Result):
         return f"{tally or 'no run yet'}: {self.folder}"
 
     def _repr_html_(self) -> str:
-        document = self.document
-        parts = [html.paragraph(self.headline, bold=True)]
+        document, counts = self.document, self.counts
+        lead, sections = [], []
+        if document["best"] is not None:
+            best = document["best"]
+            lead.append(f"The best, {best['objective']:.3g}: {' '.join(best['overrides'])}.")
         if document["failures"]:
             rows = [[f["count"], f["problem"]] for f in document["failures"]]
-            parts.append(html.table(["runs", "that failed"], rows))
-        best = document["best"]
-        if best is not None:
-            words = " ".join(best["overrides"])
-            parts.append(html.paragraph(f"best {best['objective']:.3g}: {words}"))
-        return "".join(parts)
+            sections.append(Section("Failures", blocks=[Table(["runs", "that failed"], rows)]))
+        judgements: dict[str, Judgement] = {"done": "good", "failed": "bad"}
+        measures = [
+            Measure(state, count, "", judgements.get(state, ""))
+            for state, count in counts.items()
+            if count
+        ]
+        title = self.folder.name or str(self.folder)
+        findings = Findings(f"Sweep {title}", lead, sections, measures=measures)
+        return html.view(findings, paths={"folder": self.folder})
 
 
 def sweep(

@@ -37,6 +37,10 @@ _MOST_OF_A_BAND = 600
 #: Single precision tells times apart to a tenth of a millisecond up to here, s.
 _LARGEST_SINGLE_TIME = 1_000.0
 _LONGEST_TEXT = 200
+#: Letters of a name in a legend or beside an axis: as many as fit on a telephone.
+_LONGEST_NAME = 28
+#: The names of points stand on their left beyond this share of the panel.
+_RIGHT_PART = 0.75
 _DASHES = {
     "solid": "solid",
     "dashed": "dash",
@@ -246,8 +250,8 @@ class _Drawing:
             first = False  # the curve stands for both
         elif label:
             self.labels.add(label)
-        text = plot_text(label)
-        group = {"name": text} | ({"legendgroup": text} if label else {})
+        group = {"name": _short_name(label)}
+        group |= {"legendgroup": plot_text(label)} if label else {}
         return group if first else group | {"showlegend": False}
 
     def _line(
@@ -285,6 +289,20 @@ class _Drawing:
         self.traces.append(trace)
         return trace
 
+    def _sides(self, x: FloatArray) -> list[str]:
+        """Where the names of points stand: those on the right of the panel on their left."""
+        places = [np.asarray(mark.x, dtype=float) for mark in self.panel.marks
+                  if isinstance(mark, charts.Curve | charts.Points)]  # fmt: skip
+        finite = np.concatenate([x, *places])
+        finite = finite[np.isfinite(finite)]
+        low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
+        low, high = (
+            own if end is None else end
+            for end, own in zip(self.panel.x.limits or (None, None), (low, high), strict=True)
+        )
+        edge = low + _RIGHT_PART * (high - low)
+        return ["top left" if value > edge else "top right" for value in x]
+
     def _points(self, mark: charts.Points) -> None:
         x, y = np.asarray(mark.x, dtype=float), np.asarray(mark.y, dtype=float)
         if self.panel.x.linked and not mark.tooltips:
@@ -309,7 +327,7 @@ class _Drawing:
             trace |= {
                 "mode": "markers+text",
                 "text": [plot_text(name) for name in mark.names],
-                "textposition": "top right",
+                "textposition": self._sides(x),
                 "cliponaxis": False,
             }
         if mark.tooltips:
@@ -496,7 +514,7 @@ def _places(names: Sequence[str]) -> dict[str, Any]:
     """Names at the places 0, 1, … of an axis."""
     return {
         "tickvals": list(range(len(names))),
-        "ticktext": [plot_text(name) for name in names],
+        "ticktext": [_short_name(name) for name in names],
         "zeroline": False,
     }
 
@@ -637,6 +655,14 @@ def packed_time(values: Any) -> dict[str, str]:
     if not finite.size or np.abs(finite).max() <= _LARGEST_SINGLE_TIME:
         return pack_array(times)
     return {"dtype": "f8", "bdata": base64.b64encode(times.astype("<f8").tobytes()).decode("ascii")}
+
+
+def _short_name(label: str) -> str:
+    """A name in a legend or beside an axis, on a telephone too: of a long one its two ends."""
+    if len(label) > _LONGEST_NAME:
+        half = _LONGEST_NAME // 2
+        label = f"{label[: half - 1]}…{label[-half:]}"
+    return plot_text(label)
 
 
 def plot_text(text: Any) -> str:

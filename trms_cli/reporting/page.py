@@ -23,7 +23,7 @@ import io
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from html import escape
 from importlib.util import find_spec
@@ -52,6 +52,8 @@ from trms_cli.reporting.chart_plot import plots_of, script_json
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from trms_cli.reporting.run_list import RunList
+
 
 @dataclass(frozen=True)
 class PackedScript:
@@ -64,11 +66,54 @@ class PackedScript:
 @cache
 def page_script() -> str:
     """Our script: draws plots, links their axes, sorts and filters tables."""
-    return Path(__file__).with_name("assets").joinpath("page.js").read_text(encoding="utf-8")
+    return _asset("page.js")
+
+
+def _asset(name: str) -> str:
+    return Path(__file__).with_name("assets").joinpath(name).read_text(encoding="utf-8")
 
 
 @cache
-def plotly_script() -> PackedScript:
+def page_style() -> str:
+    """The style sheet of a page."""
+    light, dark = _colours()
+    dark = f"@media (prefers-color-scheme: dark) {{ :root {dark} }}"
+    return "\n".join((f":root {light}", dark, _asset("parts.css"), _asset("page.css")))
+
+
+def _colours() -> tuple[str, str]:
+    """Declarations of the light colours, and of the dark ones, each in its braces."""
+    light, dark = re.findall(r"^\.(?:light|dark) (\{[^}]*\})", _asset("colours.css"), re.MULTILINE)
+    return light, dark
+
+
+#: Where notebooks (JupyterLab, VS Code, Colab) and sites say that they are dark.
+_DARK_NOTEBOOKS = (
+    "body[data-jp-theme-light=false]",
+    "body.vscode-dark",
+    "html[theme=dark]",
+    "body[data-theme=dark]",
+)
+_AUTOMATIC = "body[data-theme=auto]"
+
+
+@cache
+def _fragment_style() -> str:
+    """The style sheet of a part of somebody else's page: nothing outside of it is touched."""
+    light, dark = _colours()
+    places = ", ".join(f"{place} .trms" for place in _DARK_NOTEBOOKS)
+    return "\n".join(
+        (
+            f".trms {light}",
+            f"{places} {dark}",
+            f"@media (prefers-color-scheme: dark) {{ {_AUTOMATIC} .trms {dark} }}",
+            f".trms {{ {_asset('fragment.css')} {_asset('parts.css')} }}",
+        )
+    )
+
+
+@cache
+def plotly_source() -> bytes:
     """plotly.js of the installed package; that package itself is not imported, which takes time.
 
     Raises ModuleNotFoundError where it is not installed, and OSError where its script is missing.
@@ -76,7 +121,13 @@ def plotly_script() -> PackedScript:
     package = find_spec("plotly")
     if package is None or package.origin is None:
         raise ModuleNotFoundError("No module named 'plotly'", name="plotly")
-    text = Path(package.origin).with_name("package_data").joinpath("plotly.min.js").read_bytes()
+    return Path(package.origin).with_name("package_data").joinpath("plotly.min.js").read_bytes()
+
+
+@cache
+def plotly_script() -> PackedScript:
+    """plotly.js as a page carries it."""
+    text = plotly_source()
     digest = hashlib.sha256(text).digest()
     packed = cached_result(__file__, [digest], str, lambda: _packed(text))
     return PackedScript(packed, digest)
@@ -102,6 +153,24 @@ def policy(digests: Sequence[bytes] = ()) -> str:
         f"default-src 'none'; script-src {' '.join(hashes) or chr(39) + 'none' + chr(39)}; "
         "style-src 'unsafe-inline'; img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
+
+
+@dataclass(frozen=True)
+class Hosting:
+    """What a page of a server has beside one that is a file."""
+
+    #: ``page_script``, ``plotly``: Addresses of the two scripts, on the same server
+    page_script: str
+    plotly: str
+    links: Sequence[tuple[str, str]] = ()  #: On top of the page: words and address
+    refresh: float = 0.0  #: s after which the page fetches itself anew, again and again; 0: never
+
+
+#: The Content-Security-Policy of pages of a server, as its answers have it: scripts are its own.
+HOSTED_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; img-src data: blob:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
+)
 
 
 #: A drawing with more points in its curves than this is embedded as pixels instead.
@@ -138,9 +207,18 @@ def write_page(
 
 
 def page_html(
-    findings: Findings, subject: str = "", pictures: Path | None = None, *, interactive: bool = True
+    findings: Findings,
+    subject: str = "",
+    pictures: Path | None = None,
+    *,
+    interactive: bool = True,
+    hosting: Hosting | None = None,
+    run_list: RunList | None = None,
 ) -> str:
-    """The page as text; `pictures`: the folder that each chart is written into as a PNG too."""
+    """The page as text; `pictures`: the folder that each chart is written into as a PNG too.
+
+    `hosting`: what it has as a page of a server. `run_list`: runs to choose from.
+    """
     from markupsafe import Markup
 
     sections = list(findings.sections)
@@ -155,30 +233,69 @@ def page_html(
         anchors = [other["anchor"] for other in section_data[:number]]
         section["anchor"] += f"-{number + 1}" if section["anchor"] in anchors else ""
     kinds = {block["kind"] for section in section_data for block in section["blocks"]}
-    script = page_script() if kinds & {"plots", "rows"} else ""
-    plotly = plotly_script() if "plots" in kinds else None
+    needs_script, needs_plotly = bool(kinds & {"plots", "rows"}), "plots" in kinds
+    script = page_script() if needs_script and hosting is None else ""
+    plotly = plotly_script() if needs_plotly and hosting is None else None
     digests = [text_digest(script)] if script else []
     text: str = _template().render(
-        policy=policy([*digests, plotly.digest] if plotly else digests),
+        policy="" if hosting else policy([*digests, plotly.digest] if plotly else digests),
+        style=Markup(page_style()),
+        hosting=hosting,
+        run_list=run_list,
+        needs_script=needs_script,
+        needs_plotly=needs_plotly,
         script=Markup(script),
         plotly=plotly.packed if plotly else "",
         title=f"{findings.title}: {subject}" if subject else findings.title,
         lead=[paragraph for paragraph in findings.lead if paragraph],
         facts=findings.facts,
-        measures=[
-            {
-                "label": measure.label,
-                "value": wording.cell(measure.value),
-                "unit": wording.unit(measure.unit),
-                "mark": measure.judgement,
-                "note": measure.note,
-            }
-            for measure in findings.measures
-        ],
+        measures=_measures(findings),
         sections=section_data,
     )
     # A file's name may hold what is no text; the page does.
     return text.encode("utf-8", "replace").decode("utf-8")
+
+
+def fragment_html(findings: Findings, pictures: Sequence[bytes] = ()) -> str:
+    """Findings as a part of another page: what an object in a notebook shows of itself.
+
+    The same figures, answer and tables as on a page, with `pictures` (PNG) in the place of charts.
+    It fetches nothing and runs no script, and its style sheet holds inside of it alone.
+    """
+    from markupsafe import Markup
+
+    sections = list(findings.sections)
+    if findings.warnings:
+        limits = Remarks([Datum(warning, "doubtful") for warning in findings.warnings])
+        sections.append(Section("What limits this", blocks=[limits], folded=True))
+    without_charts = [
+        replace(s, blocks=[b for b in s.blocks if not isinstance(b, Chart | RigDiagram)])
+        for s in sections
+    ]
+    data = (base64.b64encode(picture).decode("ascii") for picture in pictures)
+    text: str = _template("fragment.html").render(
+        style=Markup(_fragment_style()),
+        title=findings.title,
+        measures=_measures(findings),
+        lead=[paragraph for paragraph in findings.lead if paragraph],
+        pictures=[f"data:image/png;base64,{one}" for one in data],
+        sections=[_section(each, None, False) for each in without_charts if each.blocks],
+        facts=findings.facts,
+    )
+    return text.encode("utf-8", "replace").decode("utf-8")
+
+
+def _measures(findings: Findings) -> list[dict[str, str]]:
+    return [
+        {
+            "label": measure.label,
+            "value": wording.cell(measure.value),
+            "unit": wording.unit(measure.unit),
+            "mark": measure.judgement,
+            "note": measure.note,
+        }
+        for measure in findings.measures
+    ]
 
 
 def _section(section: Section, pictures: Path | None, interactive: bool) -> dict[str, Any]:
@@ -277,6 +394,13 @@ def _cell(cell: Cell, is_numeric: bool, is_head: bool, is_sortable: bool) -> str
     return f"<td{attributes}>{content}</td>"
 
 
+def _list_cell(cell: Cell) -> Any:
+    """A cell of a list of runs."""
+    from markupsafe import Markup
+
+    return Markup(_cell(cell, plain(cell) is None, False, False))
+
+
 def _is_number(cell: Cell) -> bool:
     value = plain(cell)
     return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
@@ -313,7 +437,7 @@ def _inline(text: str) -> Any:
 
 
 @cache
-def _template() -> Any:
+def _template(name: str = "page.html") -> Any:
     import jinja2
 
     environment = jinja2.Environment(
@@ -323,4 +447,5 @@ def _template() -> Any:
         lstrip_blocks=True,
     )
     environment.filters["inline"] = _inline
-    return environment.get_template("page.html")
+    environment.filters["cell"] = _list_cell
+    return environment.get_template(name)

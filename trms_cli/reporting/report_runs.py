@@ -22,6 +22,7 @@ from trms_cli.core.findings import (
     Datum,
     Details,
     Findings,
+    Measure,
     NextCommand,
     Section,
     Table,
@@ -239,6 +240,7 @@ def findings_of_comparison(
         title or f"Comparison of {_listed(names)}",
         _lead_of_all(runs),
         [*(each for each in sections if each.blocks), Section(MADE, [THINNED], folded=True)],
+        measures=_measures_of_all(runs),
         facts=_facts_of_all(runs),
     )
 
@@ -271,10 +273,11 @@ def _ratios(standings: Sequence[Standing]) -> list[Panel]:
     )
     return [
         Panel(
-            Axis("error over the best's in the same conditions"),
+            Axis("times the best's error"),
             Axis("", categories=names),
             [dots],
             "error over the best's",
+            caption="In the same conditions, with 95 % intervals where there are several.",
             row_height=(70 + 26 * min(len(entrants), 60)) / 256,
         )
     ]
@@ -298,13 +301,35 @@ def _where_there(draw: Callable[..., list[Panel]], runs: Sequence[RunReport]) ->
         return []
 
 
-def _lead_of_all(runs: Sequence[RunReport]) -> list[str]:
+def _rmse_sums(runs: Sequence[RunReport]) -> dict[str, float]:
+    """RMSE of all channels added, of the runs that have it, by their names."""
     sums = {}
     for run in runs:
         channels = part(run.score, "channels").values()
         values = [finite(part({"": own}, "").get("rmse")) for own in channels]
         if values and all(value is not None for value in values):
             sums[run.name] = sum(value for value in values if value is not None)
+    return sums
+
+
+def _measures_of_all(runs: Sequence[RunReport]) -> list[Measure]:
+    """How well each run tracks, the best marked."""
+    sums = _rmse_sums(runs)
+    units = {
+        str(part({"": own}, "").get("unit", ""))
+        for run in runs
+        for own in part(run.score, "channels").values()
+    }
+    unit = units.pop() if len(units) == 1 else ""
+    least = min(sums.values(), default=0.0)
+    return [
+        Measure(name, value, unit, "good" if value == least else "", "RMSE of all channels added")
+        for name, value in sums.items()
+    ]
+
+
+def _lead_of_all(runs: Sequence[RunReport]) -> list[str]:
+    sums = _rmse_sums(runs)
     sentences = []
     if len(sums) > 1:
         order = sorted(sums, key=lambda name: sums[name])

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from trms_cli.core.chart import Axis, Boxes, Colour, Curve, Heat, Mark, Panel, Points, page_look
-from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, table
+from trms_cli.core.findings import Cell, Column, Datum, Findings, Measure, Section, table
 from trms_cli.reporting.page import MOST_ROWS
 from trms_cli.reporting.report_runs import plot_section, ranking_section
 from trms_cli.reporting.run_panels import histogram
@@ -404,8 +404,31 @@ def findings_of_sweep(
         title or f"Sweep {sweep.name}",
         _lead(sweep, ranking),
         [section for section in sections if section.blocks],
+        measures=_measures(sweep, figures),
         facts=sweep.facts,
     )
+
+
+def _measures(sweep: SweepReport, figures: Sequence[str]) -> list[Measure]:
+    """How many runs there are and ended, and where the figure lies that says most."""
+    completed = sum(run.outcome == "completed" for run in sweep.runs)
+    total = max(sweep.planned_count or 0, len(sweep.runs))
+    measures = [
+        Measure("runs", total),
+        Measure("completed", completed, "", "good" if completed == total else "doubtful"),
+    ]
+    if figures:
+        name, unit = figures[0], sweep.figures.get(figures[0], "")
+        values = np.array(
+            [r.figures[name] for r in sweep.runs if name in r.figures and not r.failed]
+        )
+        values = values[np.isfinite(values)]
+        if values.size:
+            for label, value in zip(
+                ("least", "median", "largest"), np.quantile(values, (0, 0.5, 1)), strict=True
+            ):
+                measures.append(Measure(f"{label} {name}", float(value), unit))
+    return measures
 
 
 def _drawn(sweep: SweepReport) -> SweepReport:

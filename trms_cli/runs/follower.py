@@ -262,6 +262,17 @@ class RunSamples:
             event_count=self._forgotten + happened,
         )
 
+    def recent(
+        self, topic: str, time: float, span: float
+    ) -> tuple[FloatArray, dict[str, FloatArray]]:
+        """Times (s) and numbers by column of a topic, over the `span` (s) before `time`."""
+        samples = self._topics.get(topic)
+        if samples is None:
+            return np.empty(0), {}
+        begin, end = samples.count_until(time - span - 2e-9), samples.count_until(time)
+        columns = {name: own.values[begin:end].copy() for name, own in samples.numbers.items()}
+        return samples.time.values[begin:end].copy(), columns
+
     def add(self, piece: LogPiece, run: dict[str, str]) -> None:
         """Take what is new, and what the run says of itself."""
         self._run = run

@@ -1,6 +1,7 @@
 """Runs in a notebook: a list of dicts, an Arrow table or a pandas frame, in one line."""
 
 import os
+import pathlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -105,6 +106,19 @@ def table_of(result: QueryResult) -> Any:
         fields.append(pa.field(name, types[kind], metadata={"unit": column.unit}))
         arrays.append(pa.array(values, types[kind]))
     return pa.table(arrays, schema=pa.schema(fields))
+
+
+def write_parquet(result: QueryResult, path: pathlib.Path, *, force: bool) -> None:
+    """Write a table with types, and units in the metadata of its fields.
+
+    Raises RecordingError if there is such a file and not `force`, or it cannot be written.
+    """
+    import pyarrow.parquet as pq
+
+    from trms_cli.core.whole_file import whole_file
+
+    with whole_file(path, force=force) as temporary:
+        pq.write_table(table_of(result), temporary)
 
 
 def _one_kind(values: Sequence[Any]) -> tuple[str, list[Any]]:

@@ -268,6 +268,21 @@ class RunIndex:
         ):
             yield log, words, tuple(values)
 
+    def logs(self, condition: Sql) -> list[str]:
+        """Logs of the runs for which a condition holds."""
+        rows = self._connection.execute(
+            f"SELECT log FROM runs WHERE {condition.text}", condition.values
+        )
+        return [log for (log,) in rows]
+
+    def groups(self, columns: Sequence[str], condition: Sql) -> list[tuple[Any, ...]]:
+        """Each combination of values of columns, by their own names, and how many runs have it."""
+        names = ", ".join(f'"{COLUMNS[name].name}"' for name in columns)
+        return self._connection.execute(
+            f"SELECT {names}, count(*) FROM runs WHERE {condition.text} GROUP BY {names}",
+            condition.values,
+        ).fetchall()
+
     def others(self, roots: Sequence[str]) -> list[str]:
         """Files under folders that are no runs, or cannot be read."""
         scope = scope_sql(roots)

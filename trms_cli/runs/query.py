@@ -11,6 +11,7 @@ import os
 import sqlite3
 import stat
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -48,6 +49,7 @@ class Query:
     columns: tuple[str, ...] = ()
     limit: int | None = None  #: Runs at most
     rebuild: bool = False  #: Read every log again
+    refresh: bool = True  #: Read logs that are new first; False answers from what is known
     compact: bool = False  #: Rows that take little room, :class:`~trms_cli.runs.index.Row`
 
 
@@ -106,7 +108,9 @@ def _find(question: Query, tell: Tell) -> QueryResult:
     if bounded:
         roots = [_folder(os.curdir)]
     remaining = MOST_ENTRIES if bounded else None
-    with current_index(roots, tell, remaining, rebuild=question.rebuild) as (index, walk):
+    with current_index(
+        roots, tell, remaining, rebuild=question.rebuild, update=question.refresh
+    ) as (index, walk):
         scope = scope_sql(roots)
         more = index.more_names()
         condition = translate_filter(question.filter, more)
@@ -146,16 +150,49 @@ def current_index(
     remaining: int | None = None,
     *,
     rebuild: bool = False,
+    update: bool = True,
 ) -> Iterator[tuple[RunIndex, _Walk]]:
-    """The index of this host, up to date with folders (real paths; None: all that it knows of)."""
+    """The index of this host, up to date with folders (real paths; None: all that it knows of).
+
+    Without `update` as it is, unless it is kept in no file.
+    """
     walk = _Walk(remaining=remaining)
     with _open_index(walk.remarks) as index:
+        if not update and index.file is not None:
+            yield index, walk
+            return
         for paths in new_runs():
             index.expect(paths)
         if rebuild:
             index.doubt(roots)
         refresh(index, roots, walk, tell)
         yield index, walk
+
+
+@dataclass(frozen=True)
+class Inventory:
+    """All runs in folders, and how many there are of each value of some columns."""
+
+    logs: tuple[str, ...]  #: Of each run, by its absolute path, or the status of a job without one
+    counts: dict[str, dict[str, int]]  #: By column and value, the most frequent first
+
+
+def inventory(folders: Sequence[str | os.PathLike[str]], columns: Sequence[str]) -> Inventory:
+    """The runs of the index in folders (none named: all that it knows of), as it is.
+
+    `columns`: of texts, by their own names. Raises ConfigurationError if a folder does not exist.
+    """
+    roots = [_folder(folder) for folder in folders] or None
+    with current_index(roots, update=False) as (index, _):
+        scope = scope_sql(roots)
+        counts: dict[str, Counter[str]] = {name: Counter() for name in columns}
+        for *values, amount in index.groups(columns, scope):
+            for name, value in zip(columns, values, strict=True):
+                if value:
+                    counts[name][str(value)] += amount
+        return Inventory(
+            tuple(index.logs(scope)), {name: dict(c.most_common()) for name, c in counts.items()}
+        )
 
 
 def take_in(logs: Sequence[str]) -> None:
@@ -386,7 +423,7 @@ def latest_run(folder: Path) -> Latest | None:
     """The latest run under a folder that is going on, else the latest one; None without any."""
     logs = sorted(((stamp.mtime_ns, log) for log, stamp in logs_in(folder).items()), reverse=True)
     for _, log in logs[:_ASKED]:
-        if _is_written(log) and _is_run(log):
+        if is_written(log) and _is_run(log):
             return Latest(Path(log), True)
     for _, log in logs:
         if _is_run(log):
@@ -394,8 +431,8 @@ def latest_run(folder: Path) -> Latest | None:
     return None
 
 
-def _is_written(log: str) -> bool:
-    """Whether a log has no end and somebody has it open to write one."""
+def is_written(log: str) -> bool:
+    """Whether a log has no end and somebody has it open to write one, as far as can be seen."""
     from trms_cli.recordings.log_reader import LogTail  # loads NumPy
 
     try:

@@ -177,7 +177,7 @@ class _Draw:
             )
 
     def _singles(self) -> Iterator[Case]:
-        for effect, level in self._effects(tuple(LIBRARY)):
+        for effect, level in self._effects(self._plan.effects, weak=self._plan.weak):
             yield self._with("single", {effect: level}, group=group_of(effect))
 
     def _pairs(self) -> Iterator[Case]:
@@ -341,7 +341,7 @@ class _Draw:
     def _watched(self, case: Case) -> tuple[Drive, Channels]:
         """In open loop with four outputs, but for some."""
         lot = self._random.uniform()
-        if case.kind == "matched":
+        if case.kind == "matched" or self._plan.alike:
             return "rich", "four"
         if lot < _CLOSED:
             return "closed_loop", "four"

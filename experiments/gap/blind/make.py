@@ -45,7 +45,6 @@ def perform(composition: Composition) -> int:
     from experiments.gap.blind.recording import Timing
     from experiments.gap.blind.sealing import KEY, SetRequest, make
     from experiments.gap.blind.sets import SETS
-    from trms_cli.runs.run_folder import new_folder
 
     begin = perf_counter()
     keys = dict(composition.config)
@@ -58,23 +57,8 @@ def perform(composition: Composition) -> int:
             where="set",
             remedy=nearest(name, SETS if rigs is None else (OWN,)),
         )
-    steps = options.sample_time / _STEP
-    if abs(steps - round(steps)) > 1e-6:
-        raise ConfigurationError(
-            f"{options.sample_time:g} s given",
-            where="sample_time",
-            remedy=f"give a whole number of milliseconds, as {round(steps) * _STEP:g}",
-        )
-    folder = Path(options.out).expanduser()
-    key_folder = key_folder_of(folder, options.key)
-    if key_folder.resolve().is_relative_to(folder.resolve()):
-        raise ConfigurationError(
-            f"{str(key_folder)!r} lies among the recordings",
-            where="key",
-            remedy="whoever diagnoses must not have the key: name a folder elsewhere",
-        )
-    new_folder(folder, "blind")
-    new_folder(key_folder, "blind")
+    check_sample_time(options.sample_time)
+    folder, key_folder = new_set_folders(options.out, options.key, "blind")
     request = SetRequest(
         name=name,
         seed=options.seed,
@@ -92,6 +76,37 @@ def perform(composition: Composition) -> int:
     print(f"{perf_counter() - begin:.0f} s")
     print(f"then: trms blind run in={folder} out={folder}.found")
     return EXIT_OK
+
+
+def check_sample_time(sample_time: float) -> None:
+    """Raise ConfigurationError unless a sample (s) is a whole number of the rigs' steps."""
+    steps = sample_time / _STEP
+    if abs(steps - round(steps)) > 1e-6:
+        raise ConfigurationError(
+            f"{sample_time:g} s given",
+            where="sample_time",
+            remedy=f"give a whole number of milliseconds, as {round(steps) * _STEP:g}",
+        )
+
+
+def new_set_folders(out: str, key: str | None, what: str) -> tuple[Path, Path]:
+    """The folder of a set and that of its key, both new and the one not within the other.
+
+    ``what``: the command, as :func:`trms_cli.runs.run_folder.new_folder` has it. Raises
+    ConfigurationError where the key would be handed out with the recordings, TrmsError for a folder
+    that cannot be written into or holds something.
+    """
+    from trms_cli.runs.run_folder import new_folder
+
+    folder = Path(out).expanduser()
+    key_folder = key_folder_of(folder, key)
+    if key_folder.resolve().is_relative_to(folder.resolve()):
+        raise ConfigurationError(
+            f"{str(key_folder)!r} lies among the recordings",
+            where="key",
+            remedy="whoever diagnoses must not have the key: name a folder elsewhere",
+        )
+    return new_folder(folder, what), new_folder(key_folder, what)
 
 
 def _rigs(model: Any, data: Any, config_dirs: Sequence[Path]) -> RigSource | None:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 KEY_SCHEMA, COMMITMENT_SCHEMA = "trms.blind.key/1", "trms.blind.commitment/1"
 RECORDINGS, COMMITMENT = "recordings", "commitment.json"
+RECORDING = "recording"  #: Of a recording that lies in a folder of its own
 #: Of a recording, which is a file of this name.
 _NAME = re.compile(r"[\w-][\w.-]{0,99}")
 KEY, FRESH = "key.json", "fresh"
@@ -47,6 +48,8 @@ class SetRequest:
     fresh: float = 60.0  #: s of a second recording of each rig, kept with the key; 0: none
     jobs: int = 2  #: Processes
     rigs: RigSource | None = None  #: What they are drawn from, where they are no TRMSs
+    stem: str = "c"  #: What the recordings' names begin with; a number follows
+    apart: bool = False  #: Whether each recording lies in a folder of its own, of its name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +87,7 @@ def make(request: SetRequest, folder: Path, key_folder: Path, tell: Callable[[st
         "sample_time_s": request.timing.sample_time,
         "duration_s": request.timing.duration,
         "fresh_s": request.fresh,
+        "apart": request.apart,
         "cases": {name: asdict(case) for name, case in recorded_set.cases.items()},
         "files": digests,
         "reference_files": _digests(recorded_set.references),
@@ -103,13 +107,16 @@ def make(request: SetRequest, folder: Path, key_folder: Path, tell: Callable[[st
         "recordings": len(recorded_set.recordings),
     }
     _write(folder / COMMITMENT, json.dumps(commitment_document, indent=2) + "\n")
-    for place, texts in (
-        (RECORDINGS, recorded_set.recordings),
-        (REFERENCES, recorded_set.references),
-    ):
-        for name, text in texts.items():
-            _write(folder / place / f"{name}.csv", text)
+    for name, text in recorded_set.recordings.items():
+        _write(recording_file(folder, name, apart=request.apart), text)
+    for name, text in recorded_set.references.items():
+        _write(folder / REFERENCES / f"{name}.csv", text)
     return commitment
+
+
+def recording_file(folder: Path, name: str, *, apart: bool) -> Path:
+    """Where the recording of a name lies in the folder of a set."""
+    return folder / name / f"{RECORDING}.csv" if apart else folder / RECORDINGS / f"{name}.csv"
 
 
 def open_key(key: Path, folder: Path) -> OpenedKey:
@@ -151,10 +158,11 @@ def _open(
             where=str(file),
             remedy="give the key that was made with this set; it must not have been changed",
         )
-    sealed = [(RECORDINGS, *entry) for entry in content["files"].items()]
-    sealed += [(REFERENCES, *entry) for entry in references.items()]
-    for place, name, digest in sealed:
-        _as_sealed(folder / place / f"{name}.csv", digest)
+    apart = bool(content.get("apart", False))  # keys of before have it not
+    for name, digest in content["files"].items():
+        _as_sealed(recording_file(folder, name, apart=apart), digest)
+    for name, digest in references.items():
+        _as_sealed(folder / REFERENCES / f"{name}.csv", digest)
     fresh = file.parent / FRESH
     for name, digest in content.get("fresh_files", {}).items() if fresh.is_dir() else ():
         _as_sealed(fresh / f"{name}.csv", digest)
@@ -206,7 +214,7 @@ def _recorded(request: SetRequest) -> _RecordedSet:
     else:
         cases = rigs.plan(request.seed, request.cases, request.timing.sample_time)
     digits = max(3, len(str(len(cases))))
-    names = [f"c{i:0{digits}d}" for i in range(1, len(cases) + 1)]
+    names = [f"{request.stem}{i:0{digits}d}" for i in range(1, len(cases) + 1)]
     driven_cases, recordings, references = texts_of(
         dict(zip(names, cases, strict=True)), request.timing, request.seed, request.jobs, rigs
     )

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from experiments.gap.blind.truths import FINAL_SET_ONLY, OUTSIDE
+from experiments.gap.blind.truths import FINAL_SET_ONLY, LIBRARY, OUTSIDE
 
 Kind = Literal[
     "null",
@@ -40,7 +40,27 @@ class SetPlan:
     #: Laws that all rigs have and the nominal model has not, with what is drawn on top: of other
     #: powers, or that no power describes
     laws: Literal["nominal", "powers", "curves"] = "nominal"
+    effects: tuple[str, ...] = tuple(LIBRARY)  #: Those that single effects are drawn from
+    weak: bool = True  #: Whether single effects may be weak
+    alike: bool = False  #: Whether all are driven in open loop and record all four outputs
 
+
+#: What a student can name from a recording: each makes a gap of twice the floor or more, and has
+#: one size that says how large it is.
+NAMEABLE = (
+    "pitch_coulomb_friction",
+    "yaw_coulomb_friction",
+    "pitch_mass_imbalance",
+    "yaw_cable_stiffness",
+    "yaw_sensor_delay",
+    "main_reaction_on_yaw",
+    "gyroscopic_coupling",
+    "main_input_delay",
+    "tail_input_delay",
+    "main_thrust_curve",
+    "tail_thrust_curve",
+    "tail_dead_zone",
+)
 
 _DEVELOPMENT = SetPlan(
     cases=200,
@@ -118,5 +138,13 @@ SETS: Mapping[str, SetPlan] = {
         cases=60,
         laws="curves",
         shares={"null": 12, "single": 32, "pair": 12, "against": 4},
+    ),
+    "course": replace(
+        _DEVELOPMENT,
+        cases=30,
+        shares={"single": 0.9, "offset": 0.1},
+        effects=NAMEABLE,
+        weak=False,
+        alike=True,
     ),
 }

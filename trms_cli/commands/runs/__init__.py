@@ -112,7 +112,7 @@ def main(argv: list[str]) -> int:
     if limit is None and is_on_screen and sys.stdout.isatty():
         limit = _GLANCE
     if is_on_screen and usual:
-        from trms_cli.commands.runs.screen import OVERRIDES, USUAL
+        from trms_cli.runs.table import OVERRIDES, USUAL
 
         columns = tuple(dict.fromkeys([*USUAL, *mentioned_columns, OVERRIDES]))
     else:
@@ -141,7 +141,9 @@ def _present(
     if arguments.csv:
         runs_screen.write_csv(result, arguments.csv, force=arguments.force)
     if arguments.parquet:
-        runs_screen.write_parquet(result, arguments.parquet, force=arguments.force)
+        from trms_cli.runs.frame import write_parquet
+
+        write_parquet(result, arguments.parquet, force=arguments.force)
     if arguments.json:
         print_json(runs_screen.document(result, arguments.filter), allow_nan=False)
     if arguments.unreadable and is_on_screen:

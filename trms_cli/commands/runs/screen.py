@@ -1,7 +1,6 @@
 """The table of ``trms runs``: as wide as the terminal, or aligned and whole for a pipe."""
 
 import csv
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -10,52 +9,10 @@ from typing import Any, TextIO
 
 from trms_cli.core import wording
 from trms_cli.core.findings import Cell, Datum, Table, Value
-from trms_cli.runs.columns import ALIASES, IndexColumn
+from trms_cli.runs.columns import IndexColumn
 from trms_cli.runs.query import QueryResult
+from trms_cli.runs.table import HEADINGS, differing_keys, visible_columns
 
-#: Read with the usual columns, for the settings in which runs differ; not shown itself.
-OVERRIDES = "overrides"
-_MOST_SETTINGS = 6
-#: Columns of the table, in their order.
-USUAL = (
-    "path",
-    "time",
-    "controller",
-    "observer",
-    "ref",
-    "model",
-    "plant",
-    "effects",
-    "faults",
-    "seed",
-    "duration",
-    "outcome",
-    "rmse_alpha_v",
-    "rmse_alpha_h",
-    "rmse_*",
-    "total_variation",
-    "solve_p99",
-    "failures",
-    "deadline_misses",
-)
-#: Worth a column only where runs differ in them.
-_IF_DIFFERENT = frozenset(USUAL) - {
-    "path",
-    "time",
-    "controller",
-    "rmse_alpha_v",
-    "rmse_alpha_h",
-    "total_variation",
-    "solve_p99",
-}
-_HEADINGS = {
-    "path": "run",
-    "rmse_alpha_v": "rmse pitch",
-    "rmse_alpha_h": "rmse yaw",
-    "total_variation": "Σ|Δu|",
-    "solve_p99": "step p99",
-    "deadline_misses": "misses",
-}
 _NOTHING = "–"
 _MOST_TOLD = 200  # characters of a line on trouble
 
@@ -73,8 +30,8 @@ def print_runs(
         return
     names = list(result.columns)
     if mentioned_columns is not None:
-        names = _visible_columns(result, mentioned_columns)
-        names += _settings(result, names)
+        names = visible_columns(result, mentioned_columns)
+        names += differing_keys(result, names)
     if sys.stdout.isatty():
         _print_table(result, names)
     else:
@@ -104,49 +61,6 @@ def say_remarks(result: QueryResult, *, unreadable: bool) -> None:
         sys.stderr.write(f"note   {logs} could not be read: {first}{more}\n")
 
 
-def _visible_columns(result: QueryResult, mentioned_columns: Sequence[str]) -> list[str]:
-    """The columns worth showing: those asked for, and the usual ones that say something."""
-    requested_names = {ALIASES.get(name, name) for name in mentioned_columns}
-    names_by_column: dict[str, str] = {}  # by the column's own name: an alias is shown once
-    for name in result.columns:
-        own = ALIASES.get(name, name)
-        if own in names_by_column or (own == OVERRIDES and own not in requested_names):
-            continue
-        values = {run[name] for run in result.runs}
-        same = len(values - {None}) < 2 and own in _IF_DIFFERENT
-        usual_end = own == "outcome" and values == {"completed"}
-        empty = values <= {None, ""}
-        if own in requested_names or not (same or usual_end or empty):
-            names_by_column[own] = name
-    return list(names_by_column.values())
-
-
-#: What nobody typed: a sweep gives it to its runs.
-_SET_BY_SWEEPS = ("picture", "sim.scene_every", "sim.estimate_every")
-
-
-def _settings(result: QueryResult, names: Sequence[str]) -> list[str]:
-    """Keys that were typed, and in which the runs differ: else the runs of a sweep look alike."""
-    from trms_cli.runs.entry import typed_overrides
-
-    overrides = [typed_overrides(json.loads(run.get(OVERRIDES) or "[]")) for run in result.runs]
-    settings = []
-    for key in dict.fromkeys(key for keys in overrides for key in keys):
-        own = ALIASES.get(key, key)
-        values = {str(keys.get(key)) for keys in overrides}
-        if (
-            key not in _SET_BY_SWEEPS
-            and ("." in key or "@" in key)
-            and own not in result.columns
-            and len(values) > 1
-        ):
-            settings.append(key)
-            result.columns[key] = IndexColumn(key, "any")
-            for run, keys in zip(result.runs, overrides, strict=True):
-                run[key] = keys.get(key)
-    return [key for key in settings if key not in names][:_MOST_SETTINGS]
-
-
 def _print_plain(result: QueryResult, names: Sequence[str]) -> None:
     """Aligned columns with two spaces between them: nothing is cut or left out."""
     rows = [list(names)]
@@ -173,7 +87,7 @@ def _print_table(result: QueryResult, names: Sequence[str]) -> None:
         ended = run.get("outcome", "completed") == "completed"
         cells = [_cell(run[name], result.columns[name]) for name in names]
         rows.append([Datum(cell, "" if ended else "doubtful") for cell in cells])
-    heads = [wording.with_unit(_HEADINGS.get(n, n), result.columns[n].unit) for n in names]
+    heads = [wording.with_unit(HEADINGS.get(n, n), result.columns[n].unit) for n in names]
     show_table(terminal(), Table(heads, rows), len(rows))
 
 
@@ -265,20 +179,6 @@ def write_csv(result: QueryResult, path: Path, *, force: bool) -> None:
         temporary.open("w", newline="", encoding="utf-8", errors="backslashreplace") as file,
     ):
         _write_lines(result, file)
-
-
-def write_parquet(result: QueryResult, path: Path, *, force: bool) -> None:
-    """Write a table with types, and units in the metadata of its fields.
-
-    Raises RecordingError if there is such a file and not `force`, or it cannot be written.
-    """
-    import pyarrow.parquet as pq
-
-    from trms_cli.core.whole_file import whole_file
-    from trms_cli.runs.frame import table_of
-
-    with whole_file(path, force=force) as temporary:
-        pq.write_table(table_of(result), temporary)
 
 
 def _write_lines(result: QueryResult, file: TextIO) -> None:

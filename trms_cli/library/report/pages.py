@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -111,7 +111,7 @@ def ranking_of(runs: Sequence[ComparisonRun]) -> Ranking | None:
 
     contest = group(runs)
     # Who differs from the others in draws or seeds alone is luckier, not better.
-    if contest.by and set(contest.by) <= {_DRAW, "seed"}:
+    if contest.by and all(key == _DRAW or key.endswith("seed") for key in contest.by):
         return None
     ranking = rank(contest)
     return ranking if ranking.best else None
@@ -221,13 +221,15 @@ def report_of(
     title: str = "",
     out: Path | None = None,
     quiet: bool = False,
+    address: Callable[[str], str] | None = None,
 ) -> Report:
     """The report of logs, folders of a run, or folders of many, however deep.
 
     `title`: by default what ran. `out`: the file that the page will be written to, for links in it;
     by default ``report.html`` in the run's folder, in that of the sweep, or in the working folder
-    for several paths. `quiet`: show no progress. Raises RecordingError if a path does not exist, or
-    there is nothing to report.
+    for several paths. `quiet`: show no progress. `address`: where the page of each of many runs
+    is, by its log, in the place of one beside the log. Raises RecordingError if a path does not
+    exist, or there is nothing to report.
     """
     sources = [Path(path).expanduser() for path in paths]
     for path in sources:
@@ -253,7 +255,7 @@ def report_of(
     if overlaid and not any(map(sweeps.sweep_document, sources)):
         return _of_logs([Path(log) for log in rows], folder, title, result.unreadable)
     page_folder = (out.parent if out is not None else folder).resolve()
-    return _of_sweep(sources, result, folder, page_folder, title)
+    return _of_sweep(sources, result, folder, page_folder, title, address)
 
 
 def _of_logs(
@@ -283,12 +285,17 @@ def _of_logs(
 
 
 def _of_sweep(
-    paths: Sequence[Path], result: QueryResult, folder: Path, page_folder: Path, title: str
+    paths: Sequence[Path],
+    result: QueryResult,
+    folder: Path,
+    page_folder: Path,
+    title: str,
+    address: Callable[[str], str] | None,
 ) -> Report:
     from trms_cli.reporting.report_sweep import findings_of_sweep
 
     typed = sweeps.typed_values(result.runs)
-    sweep = sweeps.read_sweep(paths, result, page_folder, typed)
+    sweep = sweeps.read_sweep(paths, result, page_folder, typed, address=address)
     # A search tries each set of weights once or a few times: its own objectives say which is best.
     draw_keys = drawn_keys(sweeps.sweep_document(paths[0])) if len(paths) == 1 else []
     ranking = None if sweep.objectives else ranking_of(runs_of_rows(result, draw_keys, typed))

@@ -6,7 +6,7 @@ import json
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -103,11 +103,13 @@ def read_sweep(
     result: QueryResult,
     page_folder: Path,
     typed: Sequence[Mapping[str, Any]] | None = None,
+    *,
+    address: Callable[[str], str] | None = None,
 ) -> SweepReport:
     """Many runs in folders, by their rows in `result`, as a report sees them.
 
     `typed`: their :func:`typed_values`, where they are known. `page_folder`: where the page will
-    be, for links to reports of single runs.
+    be, for links to reports of single runs; `address`: where those are instead, by a run's log.
     """
     from trms_cli.reporting.sweep_report import SweepReport
     from trms_cli.runs.columns import ALIASES
@@ -126,7 +128,7 @@ def read_sweep(
     figures, total = _figures(result, objectives), plan.get("total")
     columns = {name: ALIASES.get(name, name) for name in figures}
     runs = [
-        _swept(row, values, keys, by, columns, named, root, page_folder)
+        _swept(row, values, keys, by, columns, named, root, page_folder, address)
         for row, values in zip(rows, typed, strict=True)
     ]
     runs.sort(key=lambda run: (run.number is None, run.number or 0))
@@ -257,13 +259,18 @@ def _swept(
     named: Mapping[str, str],
     root: Path,
     page_folder: Path,
+    address: Callable[[str], str] | None,
 ) -> SweepRun:
     from trms_cli.reporting.sweep_report import SweepRun
     from trms_cli.scoring.comparison.ranking import controller_name
 
     path = Path(str(row["path"]))
     own = (path if path.is_dir() else path.parent) / PAGE_NAME
-    own_page = own.parent != page_folder and own.is_file()
+    page = ""
+    if address is not None:
+        page = address(str(row["log"]))
+    elif own.parent != page_folder and own.is_file():
+        page = relative_link(str(own), str(page_folder))
     return SweepRun(
         name=_relative(str(path), root),
         entrant=controller_name({key: str(value_of(row, typed, key) or "–") for key in by}, by),
@@ -271,7 +278,7 @@ def _swept(
         values={named.get(key, key): value_of(row, typed, key) for key in keys},
         figures=RowFigures(row, figures),
         problem=str(row.get("problem") or "")[:_LONGEST_PROBLEM],
-        page=relative_link(str(own), str(page_folder)) if own_page else "",
+        page=page,
         number=int(path.name) if path.name.isascii() and path.name.isdigit() else None,
     )
 

@@ -13,10 +13,10 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.core.scene import Scene
 from trms_cli.models.model import Model
 from trms_cli.models.rig_shape import rig_shape
+from trms_cli.recordings.foxglove.messages import SceneEncoder
+from trms_cli.recordings.foxglove.scene_log import SceneLog, Sources, find_sources
+from trms_cli.recordings.foxglove.types import encoded_topics
 from trms_cli.recordings.topics import PARAMETERS_ATTACHMENT, EncodedTopic, Topic
-from trms_cli.reporting.foxglove.messages import SceneEncoder
-from trms_cli.reporting.foxglove.scene_log import SceneLog, Sources, find_sources
-from trms_cli.reporting.foxglove.types import encoded_topics
 
 if TYPE_CHECKING:
     from trms_cli.plants.plant import PlantRun

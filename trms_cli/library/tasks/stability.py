@@ -47,7 +47,8 @@ def perform(composition: Composition, listener: Listener) -> Done:
             page = write_page(replace(findings, facts=facts), folder / PAGE_NAME, subject)
             files |= {"page": page} if page else {}
     spent = {"time": f"{perf_counter() - begin:.1f} s"}
-    return Done(folder, replace(findings, facts=spent, files=files), subject)
+    # On a terminal the tables have these figures, a few lines below.
+    return Done(folder, replace(findings, facts=spent, files=files, measures=()), subject)
 
 
 @dataclass(frozen=True)

@@ -308,9 +308,19 @@
 
   // --- the page ---------------------------------------------------------------------------------
 
-  /** Unpack plotly.js, which the page carries compressed, and run it. */
+  /** Unpack plotly.js, which the page carries compressed, and run it; a server has it as a file. */
   async function loadPlotly() {
-    const packed = atob(document.getElementById("plotly").textContent);
+    const carrier = document.getElementById("plotly");
+    if (carrier.dataset.address) {
+      await new Promise((done, failed) => {
+        const script = element("script", { src: carrier.dataset.address });
+        script.addEventListener("load", done);
+        script.addEventListener("error", () => failed(new Error("the server does not send it")));
+        document.body.append(script);
+      });
+      return;
+    }
+    const packed = atob(carrier.textContent);
     const bytes = new Uint8Array(packed.length);
     for (let i = 0; i < packed.length; i++) bytes[i] = packed.charCodeAt(i);
     const unpacked = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
@@ -361,13 +371,137 @@
     document.documentElement.dataset.plots = "missing";
   }
 
+  // --- a page of a server: fetched anew while something goes on -----------------------------------
+
+  const specOf = (place) =>
+    JSON.parse(place.parentElement.querySelector("script.plot-data").textContent);
+
+  /** Take what a fresh copy of the page has for a part of this one. */
+  function takeOver(selector, fresh) {
+    const own = document.querySelector(selector), other = fresh.querySelector(selector);
+    if (!own || !other || own.innerHTML === other.innerHTML) return;
+    const chosen = new Set(Array.from(own.querySelectorAll("input:checked"), (box) => box.value));
+    const focused = own.contains(document.activeElement) ? document.activeElement : null;
+    const scrolled = own.querySelector(".scroll") ? own.querySelector(".scroll").scrollLeft : 0;
+    own.replaceChildren(...Array.from(other.childNodes)); // a copy: the list shrinks as it is taken
+    for (const box of own.querySelectorAll("input[type=checkbox]")) {
+      box.checked = chosen.has(box.value);
+    }
+    if (scrolled) own.querySelector(".scroll").scrollLeft = scrolled;
+    if (focused) {
+      const again = Array.from(own.querySelectorAll("a, input, button"))
+        .find((each) => each.value === focused.value && each.href === focused.href);
+      if (again) again.focus({ preventScroll: true });
+    }
+    furnishRuns();
+  }
+
+  async function renew(seconds) {
+    const lost = document.getElementById("lost");
+    let fresh = null;
+    try {
+      const answer = await fetch(location.href, { cache: "no-store" });
+      if (!answer.ok) throw new Error(`it answers ${answer.status}`);
+      fresh = new DOMParser().parseFromString(await answer.text(), "text/html");
+      lost.hidden = true;
+    } catch (error) {
+      lost.textContent = "The server does not answer: what stands here is not renewed any more.";
+      lost.hidden = false;
+    }
+    if (fresh !== null) {
+      const next = Array.from(fresh.querySelectorAll("div.plot"), specOf);
+      if (!fresh.documentElement.dataset.refresh || next.length !== plots.length) {
+        location.reload(); // it has ended, and is another page now
+        return;
+      }
+      takeOver("#answer", fresh);
+      takeOver("#runs", fresh);
+      next.forEach((spec, i) => renewPlot(plots[i], spec));
+    }
+    window.setTimeout(renew, 1000 * seconds, seconds);
+  }
+
+  /** Draw other samples; a part of the time that a reader has enlarged stays. */
+  function renewPlot(plot, spec) {
+    const before = plot.spec;
+    plot.spec = spec;
+    if (!plot.drawn) return;
+    const layout = layoutOf(plot);
+    if (before.group && !alike(rangeOf(plot), before.layout.xaxis.range)) {
+      layout.xaxis.range = rangeOf(plot);
+      plot.spec = { ...spec, layout: { ...spec.layout, xaxis: before.layout.xaxis } };
+    }
+    Plotly.react(plot.place, tracesOf(plot), layout, CONFIG);
+  }
+
+  /** The list of runs of a server: how many are chosen, and a choice that shows at once. */
+  function furnishRuns() {
+    const form = document.querySelector("form.runs");
+    if (!form) return;
+    const boxes = Array.from(form.querySelectorAll("input[type=checkbox]"));
+    const told = () => {
+      const count = boxes.filter((box) => box.checked).length;
+      form.querySelector("output.chosen").textContent = count ? `${count} chosen` : "";
+      form.querySelector("button.compare").disabled = count < 2;
+    };
+    boxes.forEach((box) => box.addEventListener("change", told));
+    told();
+  }
+
+  // --- the keyboard -----------------------------------------------------------------------------
+
+  const parts = () => Array.from(document.querySelectorAll("main section[id]"))
+    .filter((section) => section.getBoundingClientRect().height > 0);
+
+  function toPart(step) {
+    const all = parts();
+    const passed = all.filter((section) => section.getBoundingClientRect().top < 8).length;
+    const here = all[passed - 1];
+    const exact = here && Math.abs(here.getBoundingClientRect().top) < 8;
+    const number = step > 0 ? passed : passed - (exact ? 2 : 1);
+    if (number < 0) window.scrollTo({ top: 0 });
+    else if (all[number]) all[number].scrollIntoView({ block: "start" });
+  }
+
+  const KEYS = {
+    j: () => toPart(1),
+    k: () => toPart(-1),
+    o: () => {
+      const folds = Array.from(document.querySelectorAll("main details"));
+      const open = folds.some((fold) => !fold.open);
+      for (const fold of folds) fold.open = open;
+    },
+    "/": () => {
+      const input = document.querySelector("main input[type=search]");
+      if (input) { input.focus(); input.select(); }
+    },
+  };
+
+  document.addEventListener("keydown", (event) => {
+    const typing = event.target.closest && event.target.closest("input, select, textarea");
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (typing) {
+      if (event.key === "Escape") event.target.blur();
+      return;
+    }
+    const act = KEYS[event.key];
+    if (!act) return;
+    event.preventDefault();
+    act();
+  });
+
   for (const place of document.querySelectorAll("div.plot")) {
-    const text = place.parentElement.querySelector("script.plot-data").textContent;
-    const spec = JSON.parse(text);
+    const spec = specOf(place);
     plots.push({ place, spec, drawn: false, variant: 0, fan: 0 });
     place.style.minHeight = `${spec.height}px`; // the page does not jump when it is drawn
   }
   document.querySelectorAll(".sortable table").forEach(tableOf);
+  furnishRuns();
+  for (const select of document.querySelectorAll("form.filters select")) {
+    select.addEventListener("change", () => select.form.requestSubmit());
+  }
   if (plots.length) loadPlotly().then(drawAll, sayWhyNot);
   else document.documentElement.dataset.plots = "drawn";
+  const seconds = Number(document.documentElement.dataset.refresh);
+  if (seconds) window.setTimeout(renew, 1000 * seconds, seconds);
 })();

@@ -11,7 +11,17 @@ from msgspec import Meta
 from trms_cli.core import chart as draw
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError, ModelError
-from trms_cli.core.findings import Column, Datum, Findings, Section, Table, Value, json_data, table
+from trms_cli.core.findings import (
+    Column,
+    Datum,
+    Findings,
+    Measure,
+    Section,
+    Table,
+    Value,
+    json_data,
+    table,
+)
 from trms_cli.core.plugins import require_known
 from trms_cli.core.wording import symbol, with_unit
 from trms_cli.core.wording import unit as written_unit
@@ -109,7 +119,8 @@ class Equilibria:
             sections.append(Section("Over both inputs", [text], [chart]))
         sections.append(_special_section(result))
         notes = [*missing, *warnings, *held_outside]
-        return Findings("Equilibria", _lead(result), sections, json_data(data), notes)
+        lead, measures = _lead(result), _measures(result)
+        return Findings("Equilibria", lead, sections, json_data(data), notes, measures)
 
     def _named_points(self, model: Model) -> tuple[list[NamedPoint], list[str]]:
         """The named points; rest and hover only within the box, and why one is missing."""
@@ -357,6 +368,27 @@ def _symbols(signals: Sequence[str]) -> str:
 
 def _sentence(words: str) -> str:
     return words[0].upper() + words[1:] + "."
+
+
+def _measures(result: EquilibriaResult) -> list[Measure]:
+    """Where the first axis rests at each named point, and the commands at which equilibria end."""
+    model, measures = result.model, []
+    for axis in list(model.controlled)[:1]:
+        unit = unit_of(model, axis)
+        for point in result.named_points:
+            stability = _stability(point)
+            note, judgement = str(stability.value), stability.judgement
+            label = f"{point.name}: {symbol(axis)}"
+            value = round(point.value(model, axis), 9) + 0.0  # what is solved to zero is zero
+            measures.append(Measure(label, value, unit, judgement, note))
+    for one in result.surveys:
+        over = one.setting.over
+        measures += [
+            Measure(f"fold over {symbol(over)}", float(mark.y[-1]), unit_of(model, over))
+            for mark in one.landmarks
+            if mark.kind == "fold"
+        ]
+    return measures
 
 
 def _lead(result: EquilibriaResult) -> list[str]:

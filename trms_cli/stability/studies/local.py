@@ -7,7 +7,17 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from trms_cli.core.findings import Block, Column, Findings, Section, Table, json_data, table
+from trms_cli.core.findings import (
+    Block,
+    Column,
+    Findings,
+    Judgement,
+    Measure,
+    Section,
+    Table,
+    json_data,
+    table,
+)
 from trms_cli.models.model import by_name
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.local import tables
@@ -77,7 +87,27 @@ class Local:
         sections = _point_section(result), ranged
         lead = *_lead(result), *_lead_range(result.locus)
         data = json_data(_results(result))
-        return Findings("Local stability", lead, sections, data, _warnings(result))
+        measures = _measures(result.sides["mean"])
+        return Findings("Local stability", lead, sections, data, _warnings(result), measures)
+
+
+def _measures(modes: Modes) -> list[Measure]:
+    """The verdict, the rightmost eigenvalue, and of the modes that swing the least damped."""
+    judgement: Judgement = "good" if modes.verdict == "stable" else "bad"
+    rightmost = max(modes.modes, key=lambda mode: mode.eigenvalue.real)
+    measures = [
+        Measure("small motions", modes.verdict, "", judgement),
+        Measure("rightmost", rightmost.eigenvalue.real, "1/s", "", rightmost.name),
+    ]
+    swinging = [mode for mode in modes.modes if mode.oscillates]
+    if swinging:
+        least = min(swinging, key=lambda m: -m.eigenvalue.real / m.natural_frequency)
+        damping = -least.eigenvalue.real / least.natural_frequency
+        measures += [
+            Measure("least damping", damping, "", "", least.name),
+            Measure("its frequency", least.damped_frequency / math.tau, "Hz", "", least.name),
+        ]
+    return measures
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,18 @@ from trms_cli.core.chart import (
     Points,
     Region,
 )
-from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
+from trms_cli.core.findings import (
+    Cell,
+    Column,
+    Datum,
+    Findings,
+    Judgement,
+    Measure,
+    Section,
+    Table,
+    json_data,
+    table,
+)
 from trms_cli.core.ranges import Positive
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.loops.frequency_response import (
@@ -154,7 +165,23 @@ def margin_findings(
         Section("How it was measured", [_method(margins)], [_quality_table(margins)]),
     ]
     data, warnings = json_data(_results(margins)), _warnings(margins, subject)
-    return Findings(TITLE, _lead(margins, where), sections, data, warnings)
+    lead, measures = _lead(margins, where), _measures(margins)
+    return Findings(TITLE, lead, sections, data, warnings, measures)
+
+
+def _measures(margins: MarginResult) -> list[Measure]:
+    """Of each loop by itself how far its gain may grow, the phase that may be lost, the delay."""
+    measures = []
+    for loop in margins.loops:
+        c, of = loop.margins, f"of {loop.name} alone"
+        up = None if c.up is None else c.up.value
+        good: Judgement = "good" if up is None or up >= _GOOD_GAIN else "doubtful"
+        measures += [
+            Measure("gain may grow", up, "times", good, of),
+            Measure("phase margin", value_of(c.phase, True), "°", "", of),
+            Measure("delay margin", None if c.delay is None else 1e3 * c.delay.value, "ms", "", of),
+        ]
+    return measures
 
 
 def _lead(margins: MarginResult, where: str) -> list[str]:

@@ -1,7 +1,7 @@
 // What a reader would stumble over in a page as it stands in the browser; each list is empty where
 // all is well. `wide`: the page scrolls sideways. `cut`: what is wider than its place and scrolls
 // nowhere. `overlap`: blocks that lie over each other. `faint`: letters below the contrast of WCAG 2
-// AA. `pictures`: those that did not load, or say nothing to who cannot see them.
+// AA. `clipped`: letters of a plot that its edge cuts off. `pictures`: those that did not load, or say nothing to who cannot see them.
 () => {
   const seen = e => { const s = getComputedStyle(e); const r = e.getBoundingClientRect();
     return s.visibility !== "hidden" && r.width > 0 && r.height > 0 && e.checkVisibility(); };
@@ -61,6 +61,15 @@
     const size = parseFloat(s.fontSize), large = size >= 24 || (size >= 18.66 && Number(s.fontWeight) >= 700);
     if (ratio < (large ? 3 : 4.5)) { const k = `${e.tagName}.${e.className} ${s.color} on ${ground.slice(0,3).map(Math.round)} ${ratio.toFixed(2)}`; faint[k] = (faint[k] || n.textContent.trim().slice(0, 30)); }
   }
+  const clipped = [];
+  for (const plot of document.querySelectorAll("div.plot")) {
+    const room = plot.getBoundingClientRect();
+    for (const e of plot.querySelectorAll("svg text")) {
+      const r = e.getBoundingClientRect();
+      if (!r.width || !e.textContent.trim()) continue;
+      if (r.left < room.left - 1 || r.right > room.right + 1 || r.bottom > room.bottom + 1) clipped.push(e.textContent.trim().slice(0, 40));
+    }
+  }
   const pictures = [...document.images].filter(i => !i.complete || !i.naturalWidth || !(i.alt || "").trim() && !i.closest(".cell_output")).map(i => i.src);
-  return { wide: wide > 0 ? [wide] : [], cut: cut.slice(0, 5), overlap: overlap.slice(0, 3), faint: Object.entries(faint).slice(0, 8), pictures };
+  return { wide: wide > 0 ? [wide] : [], cut: cut.slice(0, 5), overlap: overlap.slice(0, 3), faint: Object.entries(faint).slice(0, 8), clipped: clipped.slice(0, 5), pictures };
 }

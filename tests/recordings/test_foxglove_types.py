@@ -8,7 +8,7 @@ from foxglove import messages as published
 from google.protobuf import descriptor_pb2, descriptor_pool
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 
-from trms_cli.reporting.foxglove.types import FrameTransforms, Log, SceneUpdate, schema_text
+from trms_cli.recordings.foxglove.types import FrameTransforms, Log, SceneUpdate, schema_text
 
 #: JSON's kinds by those of protobuf; what is bytes there is base64 here.
 _KINDS = {

@@ -16,12 +16,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trms_cli.core.scene import GHOSTS
-from trms_cli.recordings.log_copy import copy_with
-from trms_cli.recordings.run_log import RunLog
-from trms_cli.reporting.foxglove import types as foxglove
-from trms_cli.reporting.foxglove.messages import Attitudes, SceneEncoder, log_line
+from trms_cli.core.whole_file import whole_file
+from trms_cli.recordings.chunk_writer import ChunkWriter
+from trms_cli.recordings.foxglove import types as foxglove
+from trms_cli.recordings.foxglove.messages import Attitudes, SceneEncoder, log_line
+from trms_cli.recordings.run_log import LIBRARY, RunLog
 
 if TYPE_CHECKING:
+    from mcap.records import Metadata
+
     from trms_cli.recordings.log_reader import LoggedRun
 
 #: Where an attitude is read, best first: a simulated rig knows it, another has measured it.
@@ -114,7 +117,7 @@ class PoseMemory:
 class SceneLog:
     """A log that gains poses; takes a log's place as the sink of a run's history.
 
-    ``log``: open, with the topics of :func:`~trms_cli.reporting.foxglove.types.encoded_topics`.
+    ``log``: open, with the topics of :func:`~trms_cli.recordings.foxglove.types.encoded_topics`.
     ``every``: samples from one pose to the next. ``last_topic``: the one that ends a sample.
     """
 
@@ -184,6 +187,9 @@ class SceneLog:
         self._arrows(time_ns, (self._encoder.commands(time_ns, shares),))
 
 
+_SECOND = 1_000_000_000  # ns
+
+
 def scene_messages(
     log: LoggedRun, encoder: SceneEncoder, sources: Sources, every: int
 ) -> Iterator[tuple[str, int, bytes]]:
@@ -230,5 +236,70 @@ def write_with_scene(
     Raises RecordingError when the file exists and ``force`` is not given, or cannot be written.
     """
     added = list(scene_messages(log, encoder, sources, every))
-    copy_with(log.path, foxglove.encoded_topics(), added, path, force=force)
+    with whole_file(path, force=force) as temporary, temporary.open("wb") as file:
+        writer = ChunkWriter(file, LIBRARY)
+        pending, last_words = _copy_words(log.path, writer)
+        numbers = {
+            topic.name: writer.add_channel(topic.name, topic.schema_name, topic.schema)
+            for topic in foxglove.encoded_topics()
+        }
+        pending += [(numbers[topic], time_ns, time_ns, data) for topic, time_ns, data in added]
+        pending.sort(key=lambda message: message[1])
+        _write_chunks(writer, pending)
+        for metadata in last_words:
+            writer.add_metadata(metadata.name, metadata.metadata)
+        writer.finish()
     return sum(topic == foxglove.TRANSFORMS for topic, _, _ in added)
+
+
+_Pending = list[tuple[int, int, int, bytes]]
+
+
+def _copy_words(path: Path, writer: ChunkWriter) -> tuple[_Pending, list[Metadata]]:
+    """Copy attachments, channels and the metadata before the samples; samples, and the rest."""
+    from mcap.records import Attachment, Channel, Message, Metadata, Schema
+    from mcap.stream_reader import StreamReader
+
+    pending: _Pending = []
+    schemas: dict[int, Schema] = {}
+    numbers: dict[int, int] = {}
+    last_words: list[Metadata] = []
+    with path.open("rb") as file:
+        try:
+            for record in StreamReader(file, validate_crcs=False).records:
+                if isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    if record.id not in numbers and record.topic not in foxglove.SCENE_TOPICS:
+                        schema = schemas[record.schema_id]
+                        numbers[record.id] = writer.add_channel(
+                            record.topic, schema.name, schema.data
+                        )
+                elif isinstance(record, Message):
+                    if record.channel_id in numbers:
+                        number = numbers[record.channel_id]
+                        times = record.log_time, record.publish_time
+                        pending.append((number, *times, record.data))
+                elif isinstance(record, Attachment):
+                    writer.add_attachment(
+                        record.name, record.media_type, record.data, record.create_time
+                    )
+                elif isinstance(record, Metadata):
+                    if pending:
+                        last_words.append(record)
+                    else:
+                        writer.add_metadata(record.name, record.metadata)
+        except Exception:  # the log of a run that died ends in the middle of a record
+            if not pending:
+                raise
+    return pending, last_words
+
+
+def _write_chunks(writer: ChunkWriter, messages: _Pending) -> None:
+    """One chunk a second of the run, as a run writes them."""
+    start = 0
+    for k, message in enumerate(messages):
+        if message[1] - messages[start][1] >= _SECOND:
+            writer.add_chunk(messages[start:k])
+            start = k
+    writer.add_chunk(messages[start:])

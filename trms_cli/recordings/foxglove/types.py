@@ -270,6 +270,8 @@ def _schema(kind: inspect.Type) -> dict[str, Any]:
 
 
 TRANSFORMS, BODIES, ARROWS, LOG_LINES = "/tf", "/scene", "/scene/commands", "/log"
+#: All that the viewer alone reads.
+SCENE_TOPICS = (TRANSFORMS, BODIES, ARROWS, LOG_LINES)
 _MESSAGES: dict[str, type[Struct]] = {
     TRANSFORMS: FrameTransforms,
     BODIES: SceneUpdate,

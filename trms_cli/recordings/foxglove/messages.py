@@ -13,7 +13,7 @@ from dataclasses import replace
 from msgspec import Struct, to_builtins
 
 from trms_cli.core import scene as rig
-from trms_cli.reporting.foxglove import types as foxglove
+from trms_cli.recordings.foxglove import types as foxglove
 
 #: Yaw and pitch of the rig ("") and of its ghosts, rad.
 Attitudes = Mapping[str, tuple[float, float]]
