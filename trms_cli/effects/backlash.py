@@ -8,16 +8,15 @@ from dataclasses import dataclass
 import casadi as ca
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext, rotor_input
-from trms_cli.models.model import Signal, Window
+from trms_cli.effects.effect import EffectContext, InputEffect
+from trms_cli.models.model import Signal
 from trms_cli.models.parameters import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
-class Backlash(Effect):
+class Backlash(InputEffect):
     """Play of one drive."""
 
-    rotor: str  #: Name of an input, or of a rotor
     width: NotNegative | None = None  #: b, V: half of the play
 
     def parameters(self) -> tuple[Parameter, ...]:
@@ -26,8 +25,7 @@ class Backlash(Effect):
     def memory(self, step: float) -> tuple[Signal, ...]:
         return (Signal("engaged", "V", "command behind the play"),)
 
-    def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
-        channel, width = rotor_input(at.model, self.rotor), at.sizes["width"]
-        u = ca.SX(at.u)
-        u[channel] = ca.fmin(ca.fmax(at.own[0], u[channel] - width), u[channel] + width)
-        return u, u[channel]
+    def command(self, at: EffectContext, u: ca.SX, duration: float) -> tuple[ca.SX, ca.SX]:
+        width = at.sizes["width"]
+        engaged = ca.fmin(ca.fmax(at.own[0], u - width), u + width)
+        return engaged, engaged

@@ -244,6 +244,27 @@ class Effect(ABC):
         return ca.SX.zeros(len(self.states()))
 
 
+@dataclass(frozen=True, kw_only=True)
+class InputEffect(Effect):
+    """An effect on one command."""
+
+    rotor: str  #: Name of an input, or of a rotor of the model
+
+    def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
+        channel = rotor_input(at.model, self.rotor)
+        u = ca.SX(at.u)
+        u[channel], memory = self.command(at, u[channel], (window[1] - window[0]) * step)
+        return u, memory
+
+    @abstractmethod
+    def command(self, at: EffectContext, u: ca.SX, duration: float) -> tuple[ca.SX, ca.SX]:
+        """What arrives of a command over a part of the step (s), and the memory after it."""
+
+    def full_command(self, model: Model) -> float:
+        """The limit of the command, in its unit."""
+        return model.input_limits[model.inputs[rotor_input(model, self.rotor)].name]
+
+
 class SensorEffect(Effect):
     """An effect on one measured channel, named by its ``axis`` or ``rotor``.
 

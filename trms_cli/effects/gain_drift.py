@@ -10,17 +10,16 @@ from typing import Annotated
 import casadi as ca
 from msgspec import Meta
 
-from trms_cli.effects.effect import Effect, EffectContext, rotor_input
+from trms_cli.effects.effect import EffectContext, InputEffect
 from trms_cli.effects.first_order import first_order
-from trms_cli.models.model import Signal, Window
+from trms_cli.models.model import Signal
 from trms_cli.models.parameters import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainDrift(Effect):
+class GainDrift(InputEffect):
     """Drift of one drive's gain."""
 
-    rotor: str  #: Name of an input, or of a rotor
     drift: Annotated[float, Meta(ge=-1, le=1)] | None = None  #: g: relative change in the end
     time_constant: Annotated[float, Meta(ge=1)] = 60.0  #: τ, s
 
@@ -30,10 +29,6 @@ class GainDrift(Effect):
     def memory(self, step: float) -> tuple[Signal, ...]:
         return (Signal("course", "1", "0 at the first sample, 1 in the end", begins_cold=True),)
 
-    def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
-        channel = rotor_input(at.model, self.rotor)
-        duration = (window[1] - window[0]) * step
+    def command(self, at: EffectContext, u: ca.SX, duration: float) -> tuple[ca.SX, ca.SX]:
         course, after = first_order(at.own[0], ca.SX(1), ca.SX(self.time_constant), duration)
-        u = ca.SX(at.u)
-        u[channel] = u[channel] * (1 + at.sizes["drift"] * course)
-        return u, after
+        return u * (1 + at.sizes["drift"] * course), after

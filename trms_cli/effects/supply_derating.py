@@ -16,17 +16,16 @@ import casadi as ca
 from msgspec import Meta
 
 from trms_cli.core.ranges import NotNegative
-from trms_cli.effects.effect import Effect, EffectContext, rotor_input
+from trms_cli.effects.effect import EffectContext, InputEffect
 from trms_cli.effects.first_order import first_order
-from trms_cli.models.model import Signal, Window, names
+from trms_cli.models.model import Signal
 from trms_cli.models.parameters import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
-class SupplyDerating(Effect):
+class SupplyDerating(InputEffect):
     """Thermal derating of one drive; it begins cold."""
 
-    rotor: str  #: Name of a rotor of the model, or of an input
     #: Share of the gain that is lost at full load for ever
     depth: Annotated[float, Meta(ge=0, le=1)]
     time_constant: NotNegative  #: τ, s
@@ -40,12 +39,7 @@ class SupplyDerating(Effect):
     def memory(self, step: float) -> tuple[Signal, ...]:
         return (Signal("warmth", "1", "0 cold, 1 after full load for ever", begins_cold=True),)
 
-    def input_path(self, at: EffectContext, window: Window, step: float) -> tuple[ca.SX, ca.SX]:
-        channel = rotor_input(at.model, self.rotor)
-        limit = at.model.input_limits[names(at.model.inputs)[channel]]
-        duration = (window[1] - window[0]) * step
-        u = ca.SX(at.u)
-        load = (u[channel] / limit) ** 2
+    def command(self, at: EffectContext, u: ca.SX, duration: float) -> tuple[ca.SX, ca.SX]:
+        load = (u / self.full_command(at.model)) ** 2
         warmth, after = first_order(at.own[0], load, at.sizes["time_constant"], duration)
-        u[channel] = u[channel] * (1 - at.sizes["depth"] * warmth)
-        return u, after
+        return u * (1 - at.sizes["depth"] * warmth), after

@@ -87,11 +87,8 @@ class ChangeEvidence:
 
     def __init__(self, questioned: NewRecordings, *, ends: bool = False) -> None:
         self.questioned, self.ends = questioned, ends
-        self.known_state, self.runs, self.forces = (
-            questioned.known_state,
-            questioned.runs,
-            questioned.forces,
-        )
+        self.known_state, self.runs = questioned.known_state, questioned.runs
+        self.forces = questioned.forces
         self.series = self.known_state.series(self.runs, self.forces)
         #: By equation: (m,) arrays of bool; where something was measured
         self.rows = [np.isfinite(self.forces.force[:, e]) for e in range(len(self.series))]

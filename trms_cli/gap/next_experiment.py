@@ -68,15 +68,8 @@ def predicted_recordings(
             metric = Metric(discrepancy, excused, drift, refit.metric.drift_sizes, None)
         except FloatingPointError:  # along this motion the equations say too little
             continue
-        yield (
-            experiment,
-            FittedModel(
-                predicted_structure,
-                CandidateFit(theta, starts, np.zeros(len(drift.drive))),
-                metric,
-                starts,
-            ),
-        )
+        fit = CandidateFit(theta, starts, np.zeros(len(drift.drive)))
+        yield experiment, FittedModel(predicted_structure, fit, metric, starts)
 
 
 def _simulate_recording(
@@ -320,18 +313,13 @@ def _question(
         selection = selection[:_AT_ONCE]
     signs = signatures(present, selection)
     # where nothing was asked after, those that the recordings show least
-    selection = sorted(selection, key=lambda candidate: visibility(signs, candidate.name))[
-        :_AT_ONCE
-    ]
-    hidden_rows = {
-        s.name: tuple(
-            np.flatnonzero(0.5 * signs.projected_energy[signs.rows(s.name)] < VISIBLE).tolist()
-        )
-        for s in selection
-    }
-    return _Question(
-        tuple(selection), False, (), {name: rows for name, rows in hidden_rows.items() if rows}
-    )
+    selection = sorted(selection, key=lambda candidate: visibility(signs, candidate.name))
+    selection, hidden_rows = selection[:_AT_ONCE], {}
+    for name in (s.name for s in selection):
+        is_hidden = 0.5 * signs.projected_energy[signs.rows(name)] < VISIBLE
+        if is_hidden.any():
+            hidden_rows[name] = tuple(np.flatnonzero(is_hidden).tolist())
+    return _Question(tuple(selection), False, (), hidden_rows)
 
 
 def _repetition_advice(

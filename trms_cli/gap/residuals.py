@@ -72,10 +72,8 @@ def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> 
     units = [signal.unit for signal in structure.problem.model.outputs]
     quanta = np.array([quantum_of(target[..., i], unit) for i, unit in enumerate(units)])
     for bootstrap_residual in _bootstrap_residuals(metric, quanta, draws, random):
-        white = np.where(
-            measured, np.clip(metric.whitened(bootstrap_residual[..., None])[..., 0], -6, 6), 0.0
-        )
-        innovations = np.where(measured, take(white), 0.0)
+        white = np.clip(metric.whitened(bootstrap_residual[..., None])[..., 0], -6, 6)
+        innovations = np.where(measured, take(np.where(measured, white, 0.0)), 0.0)
         again = _statistics(innovations, measured, commands, structure.windows.sample_time)
         for key, value in again.items():
             bootstrap[key].append(value)
@@ -191,10 +189,9 @@ def _portmanteau(
     zero: bool = False,
 ) -> float:
     """Sum of squared correlations; the first lags behind the second (closed loops)."""
-    cross_correlation = (
-        np.fft.irfft(one * np.conj(other), axis=1)[:, : lags + 1].sum(axis=0) / count
-    )
-    correlations = cross_correlation if zero else cross_correlation[1:]
+    first = 0 if zero else 1
+    products = np.fft.irfft(one * np.conj(other), axis=1)[:, : lags + 1].sum(axis=0)
+    correlations = products[first:] / count
     return float(count * np.sum(correlations**2) / max(scale, 1e-300))
 
 
