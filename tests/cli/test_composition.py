@@ -284,6 +284,7 @@ PLAIN = {
     "allow": ["json=true"],
     "init": ["my-rig", "example=cart_pole"],
     "doctor": ["json=true"],
+    "serve": ["nowhere", "port=1"],
 }
 NEITHER = {"blind", "course", "rig", "sweep", "completion", "help"}  # these have words of their own
 

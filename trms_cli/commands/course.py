@@ -30,6 +30,7 @@ examples
 options of both
   --cfg job          print its keys with their values and stop
   --config-dir DIR   a folder with option files of your own, searched first (may be repeated)
+  --allow PACKAGE    let classes of your own package run in this call (for good: trms allow)
 """
 
 _COMMAND = CheckoutCommand(
