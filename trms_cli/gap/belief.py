@@ -290,11 +290,6 @@ def _tempered(features: Features) -> Features:
                 gain, blocks = scores[i] - scores[j], features.by_block[i] - features.by_block[j]
                 own = max(share, _credible(float(gain), standard_error(blocks)))
                 lifts[i] = max(lifts[i], lifts[j] + (own - share) * gain)
-    # by whatever way it came to its lift, a further effect leads by no more than it gains
-    for i in reversed(by_size):
-        for j in by_size:
-            if sets[j] < sets[i] and 0 < scores[j] < scores[i]:
-                lifts[j] = max(lifts[j], lifts[i] - (1 - share) * (scores[i] - scores[j]))
     # what a set is spared lifts no other, and takes no lead from what explains more
     descending = np.argsort(-scores)[: len(by_size)]
     lifts[descending] = np.minimum.accumulate(lifts[descending])
