@@ -30,7 +30,7 @@ from trms_cli.gap.belief import (
 from trms_cli.gap.diagnosis import Cause, Onset, SizeEstimate
 from trms_cli.gap.posterior import _verdict, merged, special_cases
 from trms_cli.gap.problem import applicable_candidates
-from trms_cli.gap.sensor_marks import without_rounded_zeros
+from trms_cli.gap.sensor_marks import bias_rounding, without_rounded_zeros
 from trms_cli.library.tasks.diagnose import applied_cause, corrected_words
 from trms_cli.models.model import Signal
 from trms_cli.models.newtonian import Newtonian
@@ -490,7 +490,10 @@ def test_a_law_is_weighed_at_any_port() -> None:
     assert own["carriage_coulomb_friction",] > 3 * own["current_lag",]
 
 
-@pytest.mark.parametrize("text", [None, "no JSON", "[]", '{"weights": "none"}', '{"usual": 1}'])
+@pytest.mark.parametrize(
+    "text",
+    [None, "no JSON", "[]", '{"weights": "none"}', '{"usual": 1}', '{"weights": {"score": 1.0}}'],
+)
 def test_a_file_that_is_no_calibration_is_refused(tmp_path, text) -> None:
     path = tmp_path / "own.json"
     if text is not None:
@@ -513,9 +516,9 @@ def test_a_bias_within_half_a_step_is_part_of_every_rig() -> None:
     before = {("y_bias",): 0.5, ("u_lag", "y_bias"): 0.3, ("no_gap",): 0.2}
     for value, joined in ((3e-4, True), (9e-4, False)):
         fitted = {n: cause(value, *n) for n in before if "y_bias" in n}
-        after = without_rounded_zeros(before, fitted, problem)
+        after = without_rounded_zeros(before, bias_rounding(problem, fitted))
         assert sum(after.values()) == pytest.approx(1.0)
         expected = {("no_gap",): 0.7, ("u_lag",): 0.3} if joined else before
         assert {n: p for n, p in after.items() if p > 1e-6} == pytest.approx(expected)
     problem.model.bench_sizes = True
-    assert without_rounded_zeros(before, {}, problem) == before
+    assert bias_rounding(problem, fitted) == {}

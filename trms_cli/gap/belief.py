@@ -61,7 +61,11 @@ def calibration_file(path: Path) -> Calibration:
     """
     remedy = "name a file that `make calibration MODEL=NAME` wrote, or leave the key out"
     try:
-        return convert(json.loads(path.read_text(encoding="utf-8")), Calibration, strict=False)
+        own = convert(json.loads(path.read_text(encoding="utf-8")), Calibration)
+        needed = {name for name in calibration(ANY_RIG).weights if not name.startswith("own.")}
+        if missing := sorted(needed - own.weights.keys()):
+            raise ValueError(f"it has no weights of {', '.join(missing)}")
+        return own
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ConfigurationError(

@@ -30,7 +30,7 @@ from trms_cli.gap.force.laws import ForceRecord
 from trms_cli.gap.problem import CandidateEffect, GapProblem
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
-from trms_cli.gap.sensor_marks import with_marked_sensors, without_rounded_zeros
+from trms_cli.gap.sensor_marks import bias_rounding, with_marked_sensors, without_rounded_zeros
 from trms_cli.gap.shrinkage import SealedRuns, farthest_errors, harm
 from trms_cli.models.model import Model, names
 from trms_cli.simulation.rollout import Rollout
@@ -278,10 +278,11 @@ def posterior_of(
         features = replace(features, foretold=float(np.fmax(features.foretold, predictable_share)))
     special = special_cases(race.entries, candidates)
     entries = {e.names: e for e in race.entries}
+    rounding = bias_rounding(problem, entries)
 
     def probabilities_given(own_features: Features) -> dict[tuple[str, ...], float]:
         by_cause = merged(probabilities_of(own_features, constants.weights), special)
-        by_cause = without_rounded_zeros(by_cause, entries, problem)
+        by_cause = without_rounded_zeros(by_cause, rounding)
         return with_marked_sensors(by_cause, tuple(problem.marks))
 
     probabilities = probabilities_given(features)

@@ -114,8 +114,8 @@ def _coarser_than_declared(
     """
     travels = scales_of(model.without_effects()).travels
     for signal, values in zip(dataset.outputs, dataset.measurements.T, strict=True):
-        quantum, said = quantum_of(values, signal.unit), declared.get(signal.name, 0.0)
-        if is_coarser(quantum, said, 0.0 if said else travels[signal.name]):
+        quantum, usual = quantum_of(values, signal.unit), declared.get(signal.name, 0.0)
+        if is_coarser(quantum, usual, 0.0 if usual else travels[signal.name]):
             yield f"{signal.name}{QUANTISATION}", quantum, signal.unit
 
 
@@ -130,51 +130,56 @@ def _coarser_than_other(
     if len(quanta) > 1 and len(units) == 1:  # of other kinds, they have steps of their own
         for axis, quantum in quanta.items():
             if is_coarser(quantum, min(quanta.values())):
-                yield f"{axis}{QUANTISATION}", quantum, units.copy().pop()
+                yield f"{axis}{QUANTISATION}", quantum, next(iter(units))
                 return
+
+
+def bias_rounding(
+    problem: GapProblem, fitted: Mapping[tuple[str, ...], FittedModel]
+) -> dict[tuple[str, ...], dict[str, float]]:
+    """How probably each bias of a cause is less than half a step of its sensor, by its error.
+
+    ``fitted``: by names of effects. None on benches, whose biases were calibrated as they are.
+    """
+    if problem.model.bench_sizes:
+        return {}
+    dataset, steps = problem.datasets[0], dict[str, float]()
+    for signal, values in zip(dataset.outputs, dataset.measurements.T, strict=True):
+        step = max(quantum_of(values, signal.unit), problem.quanta.get(signal.name, 0.0))
+        if step > 0:
+            steps[f"{signal.name}{BIAS}"] = step
+    shares = {}
+    for names, entry in fitted.items():
+        within = {}
+        for name in steps.keys() & set(names):
+            value, sd = entry.values[f"{name}.bias"], max(entry.sds[f"{name}.bias"], 1e-12)
+            half = steps[name] / 2
+            within[name] = float(norm.cdf(half, value, sd) - norm.cdf(-half, value, sd))
+        if within:
+            shares[names] = within
+    return shares
 
 
 def without_rounded_zeros(
     probabilities: Mapping[tuple[str, ...], float],
-    fitted: Mapping[tuple[str, ...], FittedModel],
-    problem: GapProblem,
+    rounding: Mapping[tuple[str, ...], Mapping[str, float]],
 ) -> dict[tuple[str, ...], float]:
-    """Each cause's probability given to that without a bias of less than half a step of its sensor.
+    """Each cause's probability given to that without a bias of less than half a step.
 
-    No encoder's zero is known any better, so that such a bias is part of every rig; by the error of
-    the fitted bias. ``fitted``: by names of effects. On benches, whose biases were calibrated, as
-    it is.
+    No encoder's zero is known any better, so that such a bias is part of every rig. ``rounding``:
+    as of :func:`bias_rounding`.
     """
-    if problem.model.bench_sizes:
-        return dict(probabilities)
-    columns = zip(problem.datasets[0].outputs, problem.datasets[0].measurements.T, strict=True)
-    steps = {
-        f"{signal.name}{BIAS}": max(quantum_of(y, signal.unit), problem.quanta.get(signal.name, 0))
-        for signal, y in columns
-    }
     totals: dict[tuple[str, ...], float] = {}
     none = max(("no_gap", "parameters_only"), key=lambda name: probabilities.get((name,), 0.0))
     for names, probability in probabilities.items():
-        entry, shares = fitted.get(simulated_part(names)), {names: 1.0}
-        for name in names:
-            if entry is not None and steps.get(name):
-                value, sd = (of[f"{name}.bias"] for of in (entry.values, entry.sds))
-                within = float(
-                    np.diff(norm.cdf([-0.5, 0.5], value / steps[name], (sd or 1e-9) / steps[name]))[
-                        0
-                    ]
-                )
-                shares = {
-                    after: share * part
-                    for before, share in shares.items()
-                    for after, part in (
-                        (before, 1 - within),
-                        (tuple(n for n in before if n != name), within),
-                    )
-                }
-        for own, share in shares.items():
-            cause = own or (none,)
-            totals[cause] = totals.get(cause, 0.0) + share * probability
+        shares = {names: probability}
+        for bias, within in rounding.get(simulated_part(names), {}).items():
+            for cause, share in list(shares.items()):
+                simpler = tuple(n for n in cause if n != bias) or (none,)
+                shares[cause] = (1 - within) * share
+                shares[simpler] = shares.get(simpler, 0.0) + within * share
+        for cause, share in shares.items():
+            totals[cause] = totals.get(cause, 0.0) + share
     return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 

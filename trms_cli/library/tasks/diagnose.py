@@ -117,7 +117,7 @@ class DiagnosisRequest:
             *(f"{p.name} {p.value!r} {p.prior_sd!r}" for p in problem.model.parameters),
             repr(self.candidates.nodes),
             repr((problem.block, problem.sealed_share, problem.effort, problem.seed)),
-            repr(problem.calibration),
+            repr((problem.calibration, sorted(problem.quanta.items()))),
         ]
         digest = sha256("\n".join(parts).encode())
         for dataset in (*problem.datasets, *problem.against):
