@@ -19,7 +19,7 @@ from experiments.chapter7.study import CONFIGS, HERE, Job
 from trms_cli.core.errors import TrmsError
 
 _STEP = 0.005  #: s, in which the served rig is stepped
-_BEFORE = 60.0  #: s, for which it also waits: the loop compiles, connects and lands meanwhile
+_BEFORE = 600.0  #: s, for which it also waits: on a busy machine the loop compiles for minutes
 _OF_THE_RIG = ("plant", "disturbance@plant")
 
 

@@ -600,6 +600,8 @@ _PLACES = 12
 _SHARE = 0.9
 #: J, looked at where a well has no end and no stop.
 _DEEPEST = 1.0
+#: Functions whose level is proved, unless one reaches as far as the well does.
+_PROVED = 3
 #: γ that are tried where none near 1 does.
 _HEAVY = (8.0, 32.0, 128.0)
 
@@ -629,29 +631,44 @@ def search_levels(energy: Energy, x: FloatArray, strict: bool, budget: int) -> L
     if not math.isfinite(ceiling):
         stop, _ = stop_level(first)
         ceiling = stop if math.isfinite(stop) and stop > 0.0 else _DEEPEST
-    best, best_volume, best_level = first, -math.inf, 0.0
+    sampled: list[tuple[float, float, EnergyCandidate]] = []
     for choices in (_choices(energy, strict), _choices(energy, strict, _HEAVY)):
         for weights in choices:
             candidate = first.weighted(weights)
-            if not candidate.falls_at_rest():
-                continue
-            level = _sampled(candidate, wells, ceiling)
-            volume = _volume(candidate, level)
-            if volume > best_volume:
-                best, best_volume, best_level = candidate, volume, level
-        if best_volume > -math.inf:
+            if candidate.falls_at_rest():
+                level = _sampled(candidate, wells, ceiling)
+                sampled.append((_volume(candidate, level), level, candidate))
+        if sampled:
             break
-    if best_volume == -math.inf:
-        return LevelSearchResult(best, wells, DecayLevel(0.0, 0.0, best.centre, 0), ceiling)
-    target_level = ceiling if best_level >= ceiling else _SHARE * best_level
+    if not sampled:
+        return LevelSearchResult(first, wells, DecayLevel(0.0, 0.0, first.centre, 0), ceiling)
+    sampled.sort(key=lambda choice: -choice[0])
+    # Samples tell functions apart that differ much; of those next to each other the proofs decide.
+    best = _proved(sampled[0][2], wells, ceiling, sampled[0][1], budget)
+    for _, level, candidate in sampled[1:_PROVED]:
+        if best.level >= (1.0 - _CLOSE) * ceiling:
+            break
+        other = _proved(candidate, wells, ceiling, level, budget)
+        if _volume(candidate, other.level) > _volume(best.candidate, best.level):
+            best = other
+    return best
+
+
+def _proved(
+    candidate: EnergyCandidate, wells: Wells, ceiling: float, sampled: float, budget: int
+) -> LevelSearchResult:
+    """How far one function reaches, from the level that samples gave."""
+    target_level = ceiling if sampled >= ceiling else _SHARE * sampled
     for patient in (False, False, True):
-        box = best.extent(target_level, wells.ends)
-        decay = decay_level(best.matrices, best.values, box, target_level, budget, patient=patient)
+        box = candidate.extent(target_level, wells.ends)
+        decay = decay_level(
+            candidate.matrices, candidate.values, box, target_level, budget, patient=patient
+        )
         if decay.fails >= target_level:
             break
         if not patient:
             target_level = _SHARE * decay.fails
-    return LevelSearchResult(best, wells, decay, target_level)
+    return LevelSearchResult(candidate, wells, decay, target_level)
 
 
 def rotor_weights(energy: Energy, margin: float, yaw: float = 1.0) -> EnergyWeights:
@@ -712,13 +729,16 @@ def rays(candidate: EnergyCandidate, count: int, seed: int = 0) -> FloatArray:
     unit = np.random.default_rng(seed).normal(size=(count, n))
     unit /= np.linalg.norm(unit, axis=1, keepdims=True)
     values, vectors = np.linalg.eigh(curvature(candidate))
-    return np.asarray(unit / np.sqrt(np.maximum(values, 1e-12)) @ vectors.T)
+    # The symmetric root: signs and order of the vectors, which a processor may choose, drop out.
+    root = vectors / np.sqrt(np.maximum(values, 1e-12)) @ vectors.T
+    return np.asarray(unit @ root)
 
 
 def _sampled(candidate: EnergyCandidate, wells: Wells, ceiling: float) -> float:
     """About the level up to which Q is definite, J."""
-    directions = rays(candidate, _RAYS)
     # Single terms are where V is lowest for what they do to Q.
+    single = np.diag(1.0 / np.sqrt(np.maximum(np.diagonal(curvature(candidate)), 1e-12)))
+    directions = np.concatenate([rays(candidate, _RAYS), single, -single])
     y, n = candidate.centre, directions.shape[1]
     lowest = ceiling
     for _ in range(3):
