@@ -9,7 +9,7 @@ import numpy as np
 from trms_cli.core import wording
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import CURVES, Axis, Band, Chart, Curve, Line, Mark, Panel
-from trms_cli.core.findings import Column, Findings, NextCommand, Section, table
+from trms_cli.core.findings import Column, Findings, Measure, NextCommand, Section, table
 from trms_cli.identification.excitation.design import ExcitationDesign
 from trms_cli.models.model import names
 
@@ -154,8 +154,27 @@ def findings(
         ],
         sections=sections,
         warnings=warnings,
+        measures=_measures(document),
         next=then,
     )
+
+
+def _measures(document: Mapping[str, Any]) -> list[Measure]:
+    """How long it is, where its outputs go, and up to where all of them stand over the noise."""
+    predicted = document["predicted"].items()
+    ranges = [
+        Measure(wording.signal(name), _range(one["range"]), one["unit"], "", "range simulated")
+        for name, one in predicted
+        if name in document["bounds_rad"]
+    ]
+    ends = [one["seen_up_to_hz"] or 0.0 for _, one in predicted]
+    drawn, lost = document["drawn_rigs"], document["drawn_rigs_beyond_stops"]
+    return [
+        Measure("excitation", document["duration_s"], "s"),
+        *ranges,
+        Measure("over the noise", f"up to {wording.number(min(ends))}", "Hz", "", "all outputs"),
+        Measure("reach a stop", f"{lost} of {drawn}", "", "bad" if lost else "good", "drawn rigs"),
+    ]
 
 
 def _inputs(document: Mapping[str, Any]) -> Any:

@@ -63,7 +63,7 @@ def perform(composition: Composition, listener: Listener) -> Done:
         amplitudes = ", ".join(f"{n} {i['amplitude']:.3g}" for n, i in document["inputs"].items())
         result = replace(result, lead=[amplitudes])
     spent = {"time": wording.seconds(perf_counter() - begin)}
-    return Done(folder, replace(result, facts=spent, files=files))
+    return Done(folder, replace(result, facts=spent, files=files, measures=()))
 
 
 def _request(config: Mapping[str, Any]) -> Any:

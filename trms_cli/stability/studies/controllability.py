@@ -16,6 +16,7 @@ from trms_cli.core.findings import (
     Datum,
     Findings,
     Judgement,
+    Measure,
     Section,
     Table,
     json_data,
@@ -153,7 +154,8 @@ class Controllability:
         ranged = Section(f"Over {over}", [method], charts)
         sections = _inputs(result), ranged, _sensors(result), _torques(result)
         title, data = "Controllability and observability", json_data(_data(result))
-        return Findings(title, _lead(result), sections, data, _warnings(result))
+        lead, measures = _lead(result), _measures(result)
+        return Findings(title, lead, sections, data, _warnings(result), measures)
 
 
 def _is_free(model: Model, at: Mapping[str, float], over: str) -> bool:
@@ -255,6 +257,28 @@ def _data(result: ControllabilityResult) -> dict[str, Any]:
             "ended_high": sweep.high or None,
         },
     }
+
+
+def _measures(result: ControllabilityResult) -> list[Measure]:
+    """Modes that the inputs together move, and of each set of all or of the angles what is seen."""
+    total = len(result.access)
+    grades = [access.by_input[-1].grade for access in result.access]
+    moved = total - grades.count("none")
+    good: Judgement = "good" if moved == total else "bad"
+    measures = [Measure("modes moved", f"{moved} of {total}", "", good, "by all inputs")]
+    for k, one in enumerate(result.sets):
+        words = set_words(result.path.model, one)
+        if k and words != "angles":
+            continue
+        seen = total - [access.by_sensors[k].grade for access in result.access].count("none")
+        good = "good" if seen == total else "bad"
+        note = f"by {words}" + (" sensors" if words == "all" else "")
+        together = result.torques[one].together
+        measures += [
+            Measure("modes seen", f"{seen} of {total}", "", good, note),
+            Measure("torques told at once", together, "", "", note),
+        ]
+    return measures
 
 
 def _lead(result: ControllabilityResult) -> list[str]:

@@ -15,9 +15,20 @@ from trms_cli.controllers.pid_design import holding_input
 from trms_cli.controllers.pid_tuning import Gains
 from trms_cli.core.chart import Axis, Band, Chart, Curve, Line, Mark, Panel, Points
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
+from trms_cli.core.findings import (
+    Cell,
+    Column,
+    Datum,
+    Findings,
+    Judgement,
+    Measure,
+    Section,
+    Table,
+    json_data,
+    table,
+)
 from trms_cli.core.ranges import Positive
-from trms_cli.core.wording import symbol
+from trms_cli.core.wording import percent, symbol
 from trms_cli.models.model import Model
 from trms_cli.models.operating_point import OperatingPoint
 from trms_cli.stability.cycles.hunting_runs import (
@@ -153,7 +164,8 @@ class Hunting:
         if level_sweeps:
             sections.append(_sweep_section(result))
         data = json_data(_results(result))
-        return Findings("Hunting", _lead(result), sections, data, tuple(warnings))
+        lead, measures = _lead(result), _measures(result)
+        return Findings("Hunting", lead, sections, data, tuple(warnings), measures)
 
     def _friction(self, model: Model) -> Friction:
         frictions = frictions_of(model)
@@ -313,6 +325,20 @@ class HuntingResult:
     def angle(self) -> str:
         """Symbol of the axis' angle."""
         return symbol(self.case.model.axes[self.case.friction.axis].angle)
+
+
+def _measures(result: HuntingResult) -> list[Measure]:
+    """The verdict, and of a loop that hunts its swing, period and share of the time stuck."""
+    run = result.run
+    judgement: Judgement = "bad" if run.hunts else "good"
+    measures = [Measure("the loop", _VERDICTS[run.verdict], "", judgement)]
+    if run.hunts:
+        measures += [
+            Measure("swing", run.swing, "rad", "", result.angle),
+            Measure("period", run.period, "s"),
+            Measure("stuck", percent(run.stuck_share), "", "", "of the time"),
+        ]
+    return measures
 
 
 def _lead(result: HuntingResult) -> list[str]:

@@ -10,7 +10,17 @@ from msgspec import Meta
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, Panel, Points, Style
-from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, json_data, table
+from trms_cli.core.findings import (
+    Cell,
+    Column,
+    Datum,
+    Findings,
+    Measure,
+    Section,
+    Table,
+    json_data,
+    table,
+)
 from trms_cli.core.plugins import require_known
 from trms_cli.core.wording import symbol, with_unit
 from trms_cli.models.model import Model, by_name, names
@@ -91,7 +101,8 @@ class LimitCycles:
         if over_command is not None:
             sections.append(_over_section(result, over_command))
         warnings = [*not_level(model, self.at, point), *_warnings(result)]
-        return Findings("Limit cycles", lead, sections, json_data(_results(result)), warnings)
+        data, measures = json_data(_results(result)), _measures(result)
+        return Findings("Limit cycles", lead, sections, data, warnings, measures)
 
 
 #: Orbits with a multiplier along themselves that is further from 1 are told with a warning.
@@ -131,6 +142,27 @@ class LimitCycleResult:
     def excluded(self) -> bool:
         """No cycle can be: proved for all states, and nothing acts that the proof leaves out."""
         return self.proof.proved and self.proof.everywhere and self.smooth
+
+
+def _measures(result: LimitCycleResult) -> list[Measure]:
+    """How many cycles there are, what that rests on, and the Hopf points over the command."""
+    orbits, row = result.search.orbits, result.state
+    how = "proved" if result.excluded or (result.proof.proved and result.smooth) else "searched"
+    if result.search.continuum:
+        measures = [Measure("limit cycles", "a continuum")]
+    else:
+        measures = [Measure("limit cycles", len(orbits), "", "", "" if orbits else how)]
+    signal = result.model.states[row]
+    for orbit in orbits[:2]:
+        kind = "stable" if orbit.stable else "unstable"
+        measures += [
+            Measure("swing", float(orbit.swing[row]), signal.unit, "", f"{signal.name}, {kind}"),
+            Measure("period", orbit.period, "s", "", kind),
+        ]
+    if result.over is not None:
+        over = result.model.inputs[result.channel].name
+        measures.append(Measure("Hopf points", len(result.over.hopfs), "", "", f"over {over}"))
+    return measures
 
 
 def _answer(result: LimitCycleResult) -> list[str]:

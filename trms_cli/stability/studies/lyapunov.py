@@ -15,6 +15,7 @@ from trms_cli.core.findings import (
     Datum,
     Findings,
     Judgement,
+    Measure,
     Section,
     Table,
     json_data,
@@ -99,6 +100,7 @@ class Lyapunov:
             _sections(certificate, further, sample_motions, paths, display_level),
             data(certificate, point, poles, further),
             _warnings(certificate, rig),
+            _measures(certificate, further),
         )
 
 
@@ -239,6 +241,23 @@ def formula(candidate: EnergyCandidate) -> list[str]:
 def _place(candidate: EnergyCandidate, what: str, axis: str) -> str:
     value = float(candidate.centre[candidate.energy.index(what, axis)])
     return f"{0.0 if abs(value) < 5e-9 else value:.4g}"
+
+
+def _measures(
+    certificate: LyapunovCertificate, further: tuple[StabilityClaim, ...]
+) -> list[Measure]:
+    """The levels of N and N′, and how many of the claims hold."""
+    claims = [*certificate.claims, *further]
+    held = sum(claim.holds for claim in claims)
+    good: Judgement = "good" if claims and held == len(claims) else "bad"
+    measures = [Measure("claims that hold", f"{held} of {len(claims)}", "", good)]
+    if certificate.outer > 0.0:
+        outer = "all states" if certificate.everywhere else certificate.outer
+        unit = "" if certificate.everywhere else "J"
+        measures.append(Measure("N: V <", outer, unit, "", "falls and goes to rest"))
+    if certificate.inner > 0.0:
+        measures.append(Measure("N′: V ≤", certificate.inner, "J", "", "no motion leaves it"))
+    return measures
 
 
 def lead(

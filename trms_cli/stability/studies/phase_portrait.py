@@ -11,7 +11,16 @@ from msgspec import Meta
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.chart import Chart
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Column, Datum, Findings, Section, Table, json_data, table
+from trms_cli.core.findings import (
+    Column,
+    Datum,
+    Findings,
+    Measure,
+    Section,
+    Table,
+    json_data,
+    table,
+)
 from trms_cli.core.wording import listing, symbol
 from trms_cli.models.model import by_name
 from trms_cli.stability.portraits.charts import PortraitResult, has_field, is_hidden, portrait
@@ -154,7 +163,8 @@ class PhasePortrait:
         ]
         data = json_data(_results(result))
         lead, warnings = lead_of_model(result), _warnings(result)
-        return Findings("Phase portrait", lead, parts, data, warnings)
+        measures = _measures(result)
+        return Findings("Phase portrait", lead, parts, data, warnings, measures)
 
     def _of_loop(
         self,
@@ -199,7 +209,12 @@ class PhasePortrait:
             failed = f"{failures} control samples' solves failed; the fall-back acted"
             warnings.insert(0, failed)
         lead = lead_of_loop(result, at_bound)
-        return Findings(f"Phase portrait under {name}", lead, parts, json_data(results), warnings)
+        title, data, measures = (
+            f"Phase portrait under {name}",
+            json_data(results),
+            _measures(result),
+        )
+        return Findings(title, lead, parts, data, warnings, measures)
 
 
 def _settling(rest: RestPoint) -> float:
@@ -309,6 +324,19 @@ def merge_outside(ends: Sequence[TrajectoryEnd]) -> tuple[TrajectoryEnd, ...]:
     times = tuple(time for end in outside for time in end.times)
     rest = [end for end in ends if end.what != "rest outside"]
     return (*rest, TrajectoryEnd("rest outside", members, times))
+
+
+def _measures(result: PortraitResult) -> list[Measure]:
+    """Equilibria in the window, and how many of the trajectories come to rest, how soon."""
+    reached = [end for end in result.ends if end.what == "rest"]
+    times = [time for end in reached for time in end.times]
+    count, total = sum(len(end.members) for end in reached), len(result.trajectories)
+    stable = sum(rest.stable for rest in result.rests)
+    measures = [Measure("equilibria", len(result.rests), "", "", f"{stable} stable")]
+    measures.append(Measure("come to rest", f"{count} of {total}", "", "", "within the window"))
+    if times:
+        measures.append(Measure("median time", float(np.median(times)), "s"))
+    return measures
 
 
 def lead_of_model(result: PortraitResult) -> list[str]:

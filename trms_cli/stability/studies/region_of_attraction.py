@@ -14,6 +14,8 @@ from trms_cli.core.findings import (
     Column,
     Datum,
     Findings,
+    Judgement,
+    Measure,
     Section,
     Table,
     json_data,
@@ -74,7 +76,8 @@ class RegionOfAttraction(RegionRequest):
                 f"{', '.join(left_out)} {'is' if len(left_out) == 1 else 'are'} no part of the "
                 "equations, neither in the proofs nor in these simulations."
             )
-        return Findings(TITLE, _lead(region), _sections(region), json_data(_results(region)), notes)
+        data, measures = json_data(_results(region)), _measures(region)
+        return Findings(TITLE, _lead(region), _sections(region), data, notes, measures)
 
     def _point(self, model: Model) -> OperatingPoint:
         if self.at:
@@ -123,6 +126,22 @@ def from_to(estimate: RegionEstimate, k: int) -> str:
     """``−0.765 to +1.38``: how far a set goes along a coordinate, from the equilibrium."""
     low, high = (f"{v:+.3g}".replace("-", "−") for v in estimate.bounds[:, k])
     return f"{low} to {high}"
+
+
+def _measures(region: AttractionRegion) -> list[Measure]:
+    """The share that the largest proved set covers, and motions from it that fail."""
+    best, proved = region.largest, [v for v in region.verdicts if v.estimate.proved]
+    tested, failed = sum(v.tested for v in proved), sum(v.failed for v in proved)
+    if best is None:
+        return [Measure("proved set", "none", "", "bad")]
+    measures = []
+    if best.share is not None:
+        note = f"of the starts that come to rest, by {best.estimate.label}"
+        measures.append(Measure("proved set", percent(best.share), "", "", note))
+    if tested:
+        good: Judgement = "bad" if failed else "good"
+        measures.append(Measure("fail from proved sets", f"{failed} of {tested}", "", good))
+    return measures
 
 
 def _lead(region: AttractionRegion) -> list[str]:
@@ -475,7 +494,11 @@ def _loop_findings(result: LoopRegion, plane: Sequence[str]) -> Findings:
             "(and only where the rig has the states that the controller believes in). The share "
             "is an estimate from runs."
         )
-    return Findings(TITLE, lead, sections, json_data(_loop_results(result)), limits)
+    recovered = f"{runs.count} of {len(runs.recovered)}"
+    measures = [Measure("starts recovered", recovered, "", "", f"under {name}")]
+    measures += [] if region is None else _measures(region)
+    data = json_data(_loop_results(result))
+    return Findings(TITLE, lead, sections, data, limits, measures)
 
 
 def _run_table(result: LoopRegion) -> Table:

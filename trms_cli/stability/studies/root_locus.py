@@ -18,6 +18,7 @@ from trms_cli.core.findings import (
     Column,
     Datum,
     Findings,
+    Measure,
     Section,
     json_data,
     round_significant,
@@ -294,8 +295,9 @@ class RootLocus:
             "crossings_by_side": sides,
             "why": [sensitivity.sensitivity_data(path, reason) for reason in reasons],
         } | ({} if mapped is None else {"map": mapped})
-        lead = _lead(locus, reasons, sides, mapped)
-        return Findings("Root locus", lead, sections, json_data(results), _warnings(locus, sides))
+        lead, measures = _lead(locus, reasons, sides, mapped), _measures(locus)
+        data, warnings = json_data(results), _warnings(locus, sides)
+        return Findings("Root locus", lead, sections, data, warnings, measures)
 
     def _request(
         self, model: Model
@@ -393,6 +395,15 @@ def _why_section(locus: Locus, reasons: list[sensitivity.ModeSensitivity]) -> Se
         chart = sensitivity.share_chart("root_locus_why", path, locus.sweep, member, mode)
         blocks += [] if chart is None else [chart]
     return Section("Why", text, blocks)
+
+
+def _measures(locus: Locus) -> list[Measure]:
+    """Where modes cross the imaginary axis, the first three of them."""
+    path = locus.path
+    measures = [Measure("crossings", len(locus.crossings), "", "", f"over {path.over}")]
+    for c in locus.crossings[:3]:
+        measures.append(Measure(path.over, c.value, path.unit, "", f"unstable {c.side}"))
+    return measures
 
 
 def _lead(

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from trms_cli.core.chart import Axis, Chart, Colour, Curve, Line, Mark, Marker, Panel, Points
 from trms_cli.core.errors import ConfigurationError
-from trms_cli.core.findings import Cell, Column, Datum, Findings, Section, Table, table
+from trms_cli.core.findings import Cell, Column, Datum, Findings, Measure, Section, Table, table
 from trms_cli.core.plugins import nearest
 from trms_cli.core.ranges import Positive
 from trms_cli.stability.loops.frequency_response import (
@@ -170,11 +170,21 @@ def _findings(
         ],
         _results(limits, why, trial, margins),
         _warnings(limits),
+        [_measure(one) for one in limits],
     )
 
 
 def _amount(impairment: Impairment, size: float) -> str:
     return ("×" if impairment.kind == "gain" else "") + impairment.amount(size)
+
+
+def _measure(result: ImpairmentLimits) -> Measure:
+    """The worst that was stood."""
+    impairment, stood = result.impairment, result.back.below.size
+    most = "the most tried" if result.back.above is None else ""
+    if stood == impairment.none:
+        return Measure(impairment.words, "none", "", "bad", "of the sizes tried")
+    return Measure(impairment.words, _amount(impairment, stood), "", "", most)
 
 
 def _sentence(result: ImpairmentLimits) -> str:
