@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from trms_cli.cli import main
+from trms_cli.identification.excitation.findings import findings
 from trms_cli.recordings.log_reader import read_log
 
 QUICK = ("duration=20", "lead_in=5", "rigs=1", "excitation=prbs", "band.lowest=0.1")
@@ -31,6 +32,14 @@ def test_it_leaves_a_table_a_document_and_a_picture(designed):
     figures = document["inputs"]["u_v"]
     assert np.ptp(rows[250:, 1]) == pytest.approx(2 * figures["amplitude"], rel=1e-4)
     assert (designed / "excitation.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_its_page_begins_with_figures(designed):
+    document = json.loads((designed / "excitation.json").read_text())
+    labels = [measure.label for measure in findings(document).measures]
+    assert labels == ["excitation", "pitch", "yaw", "over the noise", "reach a stop"]
+    page = (designed / "excitation.html").read_text()
+    assert page.index("range simulated") < page.index("of lead-in")
 
 
 def test_the_run_goes_where_it_was_predicted(designed, trms, tmp_path):

@@ -315,6 +315,7 @@ def test_the_answer_for_pitch_and_its_figure():
     assert low < 0.0 < high and high > -1.3 * low
     assert max(-low, high) == pytest.approx(best["half_widths"]["alpha_v"])
     assert "no box" in pitch.lead[0] and "half-widths" not in pitch.lead[0]
+    assert pitch.measures[0].label == "proved set" and "none" not in str(pitch.measures[0].value)
     assert "alpha_v −0.7" in pitch.lead[0] and "±" not in pitch.lead[0]
     chart = next(c for c in pitch.charts if c.name == "region_of_attraction")
     wide, near = ({getattr(m, "label", "") for m in panel.marks} for panel in chart.panels)

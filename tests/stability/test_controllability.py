@@ -102,6 +102,7 @@ def test_the_gain_of_yaw_goes_as_the_speed_of_the_tail_rotor():
         ratio = moved[side] / np.abs(omega[side])
         assert ratio.max() / ratio.min() < 1.2
     assert any("u_h loses alpha_h at alpha_h = 0" in sentence for sentence in findings.lead)
+    assert [m.value for m in findings.measures[:3]] == ["4 of 4", "4 of 4", 4]
 
 
 def test_which_modes_and_constant_torques_a_set_of_sensors_tells():

@@ -158,6 +158,7 @@ def test_one_axis_has_no_cycle_and_that_is_proved(freedom):
         assert low == pytest.approx(exact, rel=1e-12) and high - low < 1e-9
     findings = asked(model)
     assert "no limit cycle" in findings.lead[0] and "proved" in findings.lead[0]
+    assert (findings.measures[0].value, findings.measures[0].note) == (0, "proved")
     proof = findings.results["proof"]
     assert proof["no_cycle"] and proof["everywhere"]
     assert findings.results["cycles"] == [] and findings.results["over"]["hopf"] == []

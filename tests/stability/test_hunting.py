@@ -182,6 +182,7 @@ def test_the_study_says_it_all_and_of_another_controller_simulates_only():
     names = [chart.name for chart in findings.charts]
     assert names == ["hunting_history", "hunting_plane", "hunting_map", "hunting_nyquist"]
     assert findings.lead[0].startswith("The loop hunts")
+    assert [m.label for m in findings.measures] == ["the loop", "swing", "period", "stuck"]
     names = {"controller": "lqr", "observer": "full_state"}
     loop = replace(LOOP, controller=Lqr(operating_point={"alpha_v": 0.0}), names=names)
     findings = Hunting(duration=40.0).run(Subject(RIG, "newtonian_vertical", loop), silent)

@@ -505,6 +505,7 @@ def test_the_map_has_the_boundary_of_the_loci_and_ends_where_there_is_no_operati
 def test_the_study_says_where_and_why():
     findings = answer(RootLocus(points=21, map_points=5))
     assert "k_g = 0.14813" in findings.lead[0]
+    assert findings.measures[1].value == pytest.approx(0.14813, rel=1e-4)
     sentences = " ".join(findings.lead)
     assert "pitch moment per yaw rate" in sentences
     assert "loop" in sentences

@@ -181,6 +181,7 @@ def test_what_an_unstable_point_a_failing_function_and_dry_friction_lead_to() ->
     found = run(extend_model(VERTICAL, friction), at={"alpha_v": 0.0})
     assert found.results["holds"]
     assert "friction holds it" in found.lead[1]
+    assert [m.label for m in found.measures] == ["claims that hold", "N: V <", "N′: V ≤"]
     attracts = next(c for c in found.results["claims"] if c["name"] == "attracts")
     assert "F_c" in attracts["detail"]
     with pytest.raises(ConfigurationError, match="strict function"):

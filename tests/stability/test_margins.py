@@ -664,6 +664,7 @@ class TestTheStudyOfTolerance:
         drawn = {chart.name for chart in findings.charts}
         assert drawn == {"tolerance_overview", "tolerance_responses"}
         assert len(findings.lead) == 8
+        assert len(findings.measures) == 7 and findings.measures[0].label == "delay of all commands"
 
     def test_its_margins_are_those_of_the_other_study(self):
         """Both studies measure by the same defaults."""
