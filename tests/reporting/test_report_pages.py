@@ -46,7 +46,7 @@ def plots_of(page):
         page_html(page),
         re.DOTALL,
     )
-    return {unescape(title): json.loads(data) for title, data in found}
+    return {unescape(title.replace("<wbr>", "")): json.loads(data) for title, data in found}
 
 
 def traces_of(plot) -> dict:

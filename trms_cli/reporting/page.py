@@ -436,6 +436,13 @@ def _inline(text: str) -> Any:
     return Markup(re.sub(r"`(.+?)`", r"<code>\1</code>", safe))
 
 
+def _breakable(text: str) -> Any:
+    """Escaped text that may break within a key: ``effect.yaw_…`` is longer than many a plot."""
+    from markupsafe import Markup, escape
+
+    return Markup(re.sub(r"(?<=\w)([._])(?=[a-z])", r"\1<wbr>", str(escape(text))))
+
+
 @cache
 def _template(name: str = "page.html") -> Any:
     import jinja2
@@ -447,5 +454,6 @@ def _template(name: str = "page.html") -> Any:
         lstrip_blocks=True,
     )
     environment.filters["inline"] = _inline
+    environment.filters["breakable"] = _breakable
     environment.filters["cell"] = _list_cell
     return environment.get_template(name)
