@@ -137,7 +137,9 @@ def _coarser_than_other(
 def bias_rounding(
     problem: GapProblem, fitted: Mapping[tuple[str, ...], FittedModel]
 ) -> dict[tuple[str, ...], dict[str, float]]:
-    """How probably each bias of a cause is less than half a step of its sensor, by its error.
+    """How probably each bias of a cause is less than a step of its sensor, by its error.
+
+    A zero is set to within half a step, and a reading is rounded by up to half of one.
 
     ``fitted``: by names of effects. None on benches, whose biases were calibrated as they are.
     """
@@ -145,16 +147,16 @@ def bias_rounding(
         return {}
     dataset, steps = problem.datasets[0], dict[str, float]()
     for signal, values in zip(dataset.outputs, dataset.measurements.T, strict=True):
-        step = max(quantum_of(values, signal.unit), problem.quanta.get(signal.name, 0.0))
-        if step > 0:
-            steps[f"{signal.name}{BIAS}"] = step
+        coarsest = max(quantum_of(values, signal.unit), problem.quanta.get(signal.name, 0.0))
+        if coarsest > 0:
+            steps[f"{signal.name}{BIAS}"] = coarsest
     shares = {}
     for names, entry in fitted.items():
         within = {}
         for name in steps.keys() & set(names):
             value, sd = entry.values[f"{name}.bias"], max(entry.sds[f"{name}.bias"], 1e-12)
-            half = steps[name] / 2
-            within[name] = float(norm.cdf(half, value, sd) - norm.cdf(-half, value, sd))
+            step = steps[name]
+            within[name] = float(norm.cdf(step, value, sd) - norm.cdf(-step, value, sd))
         if within:
             shares[names] = within
     return shares
@@ -164,7 +166,7 @@ def without_rounded_zeros(
     probabilities: Mapping[tuple[str, ...], float],
     rounding: Mapping[tuple[str, ...], Mapping[str, float]],
 ) -> dict[tuple[str, ...], float]:
-    """Each cause's probability given to that without a bias of less than half a step.
+    """Each cause's probability given to that without a bias of less than a step.
 
     No encoder's zero is known any better, so that such a bias is part of every rig. ``rounding``:
     as of :func:`bias_rounding`.
