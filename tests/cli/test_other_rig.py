@@ -91,3 +91,14 @@ def test_it_is_replayed_scored_and_exported(inside, rig):
     done = inside("import", "run.csv", "--json")
     assert json.loads(done.stdout)["channels"]["position"]["unit"] == "m"
     inside("report", "run", "--out", "run.html")
+
+
+def test_a_calibration_in_its_folder_of_options_is_taken_by_itself(inside, rig):
+    own = rig / "configs/calibration/cart_pole.json"
+    own.parent.mkdir()
+    own.write_text("{}")
+    try:
+        done = inside("diagnose", "real=rig.csv", f"data.names={NAMES}", "out=none", code=2)
+    finally:
+        shutil.rmtree(own.parent)
+    assert "calibration/cart_pole.json" in done.said and not (rig / "none").exists()

@@ -32,7 +32,7 @@ from trms_cli.core.versions import versions
 from trms_cli.effects.effect import Effect
 from trms_cli.effects.extended_model import ExtendedModel, effect_names, extend_model
 from trms_cli.effects.model_form import MODEL_FORM
-from trms_cli.gap.belief import Calibration, calibration_file, simulated_part
+from trms_cli.gap.belief import calibration_file, simulated_part
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
     Cause,
@@ -132,12 +132,14 @@ def request_of(composition: Composition) -> DiagnosisRequest:
     Raises TrmsError for the first key, recording or effect that is wrong.
     """
     config = composition.config
-    own = {key: value for key, value in config.items() if key not in _GROUPS}
-    options = construct(DiagnoseOptions, own)
+    keys = {key: value for key, value in config.items() if key not in _GROUPS}
+    options = construct(DiagnoseOptions, keys)
     data = build(config["data"], "data")
     assert isinstance(data, DataOptions)
     model = model_of(config)
     _require_equations(model)
+    own = _calibration(options, model, composition.config_dirs)
+    calibration = None if own is None else calibration_file(own)
     words = several(options.candidates, "candidates")
     candidates = candidates_of(words, model, composition.config_dirs)
     datasets = tuple(load_datasets(several(options.real, "real"), model, data))
@@ -161,11 +163,13 @@ def request_of(composition: Composition) -> DiagnosisRequest:
         jobs=options.jobs,
         advise=options.advises,
         quanta=data.quantum or {},
-        calibration=_calibration(options, model, composition.config_dirs),
+        calibration=calibration,
         warnings=tuple(str(issue) for issue in admission.warnings),
     )
     everything = (*datasets, *against)
     remarks = dict.fromkeys(remark for dataset in everything for remark in dataset.remarks)
+    if own is not None:
+        remarks[f"probabilities by the weights in {own}"] = None
     return DiagnosisRequest(options, problem, candidates, tuple(remarks))
 
 
@@ -175,13 +179,12 @@ _CALIBRATION = "calibration"
 
 def _calibration(
     options: DiagnoseOptions, model: Model, config_dirs: Sequence[Path]
-) -> Calibration | None:
-    """As asked for, or the model's own; None: the package's."""
+) -> Path | None:
+    """The file that is asked for, or the model's own; None: the package's."""
     if options.calibration is not None:
-        return calibration_file(Path(options.calibration).expanduser())
+        return Path(options.calibration).expanduser()
     files = (folder / _CALIBRATION / f"{model.name}.json" for folder in config_dirs)
-    own = next((file for file in files if file.is_file()), None)
-    return None if own is None else calibration_file(own)
+    return next((file for file in files if file.is_file()), None)
 
 
 #: s. Recordings of a known state, together, and those in question must be as long.
