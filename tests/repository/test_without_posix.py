@@ -1,11 +1,16 @@
 """What the first day needs goes without the modules that only POSIX has (docs/install.md)."""
 
 import os
+import platform
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from trms_cli.core.errors import ConfigurationError
+from trms_cli.plants.link.transport import open_serial
+from trms_cli.sweeps.record import Claim, is_alive
 
 PROGRAM = Path(__file__).with_name("without_posix.py")
 
@@ -51,3 +56,20 @@ def test_a_run_goes_without_them_and_what_cannot_says_so(tmp_path):
     assert done.returncode == 0, done.stderr
     done = typed(tmp_path, "rig", "serve", "serial=true", "duration=1")
     assert done.returncode == 2 and "no pseudo-terminals" in done.stderr, done.stderr
+
+
+def test_no_signal_goes_where_it_would_end_a_process(monkeypatch):
+    sent = []
+    claim = Claim(1, platform.node(), os.getpid(), "")
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "kill", lambda *words: sent.append(words))
+        patch.setattr(os, "name", "nt")
+        assert is_alive(claim) is None
+    assert not sent and is_alive(claim)
+
+
+def test_a_serial_line_is_refused_with_what_takes_its_place(monkeypatch):
+    with monkeypatch.context() as patch, pytest.raises(ConfigurationError) as refused:
+        patch.setattr(os, "name", "nt")
+        open_serial("COM3", 115200)
+    assert "plant=udp" in str(refused.value.remedy)
