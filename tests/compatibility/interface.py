@@ -88,6 +88,10 @@ export-controller controller=linear_mpc measure=false out=exported
 """
 
 
+#: Where a person's own runs and permissions stand: none of them is promised.
+_PERSONS = ("TRMS_RUNS", "XDG_CONFIG_HOME")
+
+
 def static_names() -> set[str]:
     """All that can be told without a run."""
     return {*_commands(), *_configuration(), *_python(), *_static_documents()}
@@ -98,7 +102,7 @@ def measured_names() -> set[str]:
     with (
         tempfile.TemporaryDirectory() as folder,
         contextlib.chdir(folder),
-        mock.patch.dict(os.environ, {"TRMS_RUNS": str(Path(folder, ".runs"))}),
+        mock.patch.dict(os.environ, {n: str(Path(folder, ".own")) for n in _PERSONS}),
     ):
         return set(_documents())
 
@@ -311,7 +315,8 @@ def _keys(node: Any, path: str = "") -> Iterator[str]:
             name = str(key)
             here = f"{path}.{name}" if path else name
             yield here
-            yield from _keys(value, here)
+            if name != "versions":  # of the packages that were there
+                yield from _keys(value, here)
     elif isinstance(node, list):
         for item in node:
             yield from _keys(item, f"{path}.[]")
