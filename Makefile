@@ -27,7 +27,7 @@ export REASON
 
 .DEFAULT_GOAL := help
 .PHONY: help setup run rig test slow package docs docs-links docs-check notebook fuzz lint format check bench regression regression-update \
-	chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 model-study tournament robustness coverage closing-loop network-correction tras-fit aero-fit blind blind-full blind-imperfect blind-severity calibration docs-figures lock clean
+	interface chapter2 chapter3 chapter4 chapter5 chapter6 chapter7 chapter8 model-study tournament robustness coverage closing-loop network-correction tras-fit aero-fit blind blind-full blind-imperfect blind-severity calibration docs-figures lock clean
 
 help: ## tell what each target does
 	@echo 'usage: make TARGET'
@@ -102,6 +102,9 @@ regression: $(READY) ## tracking errors against the baseline; fails when one got
 regression-update: $(READY) ## rewrite the baseline: make regression-update REASON="why"
 	@test -n "$$REASON" || { echo 'A baseline changes with a reason: make regression-update REASON="why"' >&2; exit 2; }
 	@$(BIN)/python -m experiments.regression --update --reason "$$REASON"
+
+interface: $(READY) ## add what is new to the promised interface; stops where something promised is gone
+	@$(BIN)/python -m tests.compatibility.interface
 
 chapter2: $(READY) ## study: white-box models, rotors alone, Newtonian against Lagrangian
 	@$(BIN)/python -m experiments.chapter2 $(ARGS)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 from trms_cli import __version__
-from trms_cli.core.deprecation import show_on
+from trms_cli.core.deprecation import present_words, show_on
 from trms_cli.core.errors import EXIT_OK, TrmsError, interrupted_code
 from trms_cli.core.threads import take_one_thread
 
@@ -104,7 +104,7 @@ def _dispatch(arguments: list[str]) -> int:
     if not arguments:
         sys.stdout.write(overview(try_these=True))
         return EXIT_OK
-    word, *rest = arguments
+    word = arguments[0]
     if word in ("-h", "--help"):
         sys.stdout.write(overview(try_these=False))
         return EXIT_OK
@@ -112,6 +112,7 @@ def _dispatch(arguments: list[str]) -> int:
         sys.stdout.write(f"trms {__version__}\n")
         return EXIT_OK
     take_one_thread()
+    word, *rest = present_words(arguments)
     module = load_command(word)
     if any(text.partition("=")[0] == "--allow" for text in rest):
         from trms_cli.composition.catalogue import take_allowed

@@ -30,8 +30,8 @@ from .markdown import REASONS, Block, blocks
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
     page
-    for pattern in ("README.md", "docs/*.md", "docs/course/*.md", "docs/how-to/*.md",
-                    "docs/reference/*.md", "*/*/README.md")
+    for pattern in ("README.md", "CONTRIBUTING.md", "docs/*.md", "docs/course/*.md",
+                    "docs/how-to/*.md", "docs/reference/*.md", "*/*/README.md")
     for page in ROOT.glob(pattern)
 )  # fmt: skip
 #: Pages whose runs are looked at afterwards: as long as they say.

@@ -14,6 +14,9 @@ import pytest
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
+#: Nothing is compiled where the program is installed: only wheels are taken, but for one package of
+#: Python alone that is published as source.
+WHEELS_ALONE = ("--only-binary", ":all:", "--no-binary", "antlr4-python3-runtime")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
@@ -74,8 +77,10 @@ def environment_with(
         environment.work.mkdir()
         limits = folder / "constraints.txt"
         limits.write_text("\n".join(constraints) + "\n", encoding="utf-8")
+        built = () if constraints else WHEELS_ALONE  # the lowest versions may have none any more
         environment.run(
-            "python", "-m", "pip", "install", "--quiet", "-c", str(limits), str(distributions.wheel)
+            *("python", "-m", "pip", "install", "--quiet", *built),
+            *("-c", str(limits), str(distributions.wheel)),
         )
         return environment
 

@@ -11,6 +11,8 @@ from tests.packaging.conftest import PROJECT, lowest, pythons, tracked
 
 pytestmark = pytest.mark.slow
 
+LARGEST = 3_000_000  #: bytes of the wheel
+
 #: A first afternoon with the program.
 COMMANDS = """
 trms run sim.duration=4 out=newton
@@ -67,6 +69,14 @@ def test_the_wheel_has_all_that_runs_and_nothing_else(distributions):
         if name.startswith(("trms_cli/", "configs/")):
             inside = f"trms_cli/{name}" if name.startswith("configs/") else name
             assert inside in shipped, f"{name} is not in the wheel"
+
+
+def test_the_wheel_is_small_and_for_every_machine(distributions):
+    assert distributions.wheel.name.endswith("-py3-none-any.whl")
+    assert distributions.wheel.stat().st_size < LARGEST
+    with zipfile.ZipFile(distributions.wheel) as wheel:
+        (about,) = (name for name in wheel.namelist() if name.endswith(".dist-info/WHEEL"))
+        assert "Root-Is-Purelib: true" in wheel.read(about).decode()
 
 
 def test_the_source_distribution_can_be_tested(distributions):

@@ -23,6 +23,7 @@ from trms_cli.composition import catalogue, checks
 from trms_cli.composition.overrides import PATH_KEYS, ComposeRequest, Override, parse, read_request
 from trms_cli.composition.plain_values import value_at
 from trms_cli.core.data_file import RECORDINGS
+from trms_cli.core.deprecation import present_override
 from trms_cli.core.errors import EXIT_OK, ConfigurationError, TrmsError
 from trms_cli.core.wording import choice_labels
 from trms_cli.runs.run_folder import new_folder
@@ -158,7 +159,8 @@ class Composer:
 
         Raises ConfigurationError for the first key that is wrong.
         """
-        request = ComposeRequest(tuple(overrides), self.config_dirs, show=False, multirun=False)
+        words = tuple(map(present_override, overrides))  # a sweep of an earlier version goes on
+        request = ComposeRequest(words, self.config_dirs, show=False, multirun=False)
         try:
             composition = self._varied(request)
         except (_Unusual, TrmsError):

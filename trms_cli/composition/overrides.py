@@ -20,6 +20,7 @@ from trms_cli.composition.catalogue import (
     take_config_dirs,
 )
 from trms_cli.composition.rig_folder import rig_folder
+from trms_cli.core.deprecation import present_override
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.invocation import program
 from trms_cli.core.plugins import nearest
@@ -34,7 +35,7 @@ _OPTIONS = ("--allow", "--cfg", "--config-dir", "--from", "--multirun", "--help"
 class ComposeRequest(NamedTuple):
     """What was asked for on the command line of a composing command."""
 
-    overrides: tuple[str, ...]  #: as typed
+    overrides: tuple[str, ...]  #: as typed, former names replaced by the present ones
     config_dirs: tuple[Path, ...]
     show: bool  #: ``--cfg job``: print the configuration and stop
     multirun: bool  #: ``-m``
@@ -85,7 +86,7 @@ def read_request(argv: Sequence[str], primary: str = "run") -> ComposeRequest:
         elif word.startswith("-"):
             raise _unknown_option(word, list(argv), primary, config_dirs)
         else:
-            overrides.append(word)
+            overrides.append(present_override(word))
     return ComposeRequest(tuple(overrides), config_dirs, show, multirun)
 
 

@@ -9,6 +9,9 @@ from pathlib import Path
 
 from trms_cli.core.errors import RecordingError
 
+#: For `os.open`: bytes as they are; Windows would put a carriage return before each line's end.
+BINARY = getattr(os, "O_BINARY", 0)
+
 
 def replace_whole(path: Path, content: bytes) -> None:
     """Write a file, in place of what is there.
@@ -21,7 +24,7 @@ def replace_whole(path: Path, content: bytes) -> None:
     # A name of its own for each writer, short whatever `path` is called, and made here: a link
     # that somebody has laid there is not followed.
     draft = path.with_name(f".{secrets.token_hex(8)}.part")
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0)
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | BINARY
     with os.fdopen(os.open(draft, flags, 0o666), "wb") as file:
         try:
             file.write(content)

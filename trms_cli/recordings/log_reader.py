@@ -32,6 +32,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from trms_cli.core import data_file
 from trms_cli.core.errors import RecordingError
+from trms_cli.core.whole_file import BINARY
 from trms_cli.recordings.run_log import RUN_SCHEMA
 from trms_cli.recordings.topics import (
     CONFIG_ATTACHMENT,
@@ -488,7 +489,7 @@ class LogTail:
         self._published = 0
         self._progress: list[tuple[int, int]] = []
         try:
-            self._descriptor = os.open(self.path, os.O_RDONLY)
+            self._descriptor = os.open(self.path, os.O_RDONLY | BINARY)
         except FileNotFoundError as error:
             raise data_file.absent(Path(path)) from error
         except OSError as error:
@@ -578,7 +579,8 @@ class LogTail:
 
     def _bytes(self, size: int) -> bytes:
         try:
-            return os.pread(self._descriptor, size, self._offset)
+            os.lseek(self._descriptor, self._offset, os.SEEK_SET)
+            return os.read(self._descriptor, size)
         except OSError as error:
             raise data_file.unreadable(error, self.path) from error
 

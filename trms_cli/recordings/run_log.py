@@ -26,7 +26,7 @@ import numpy as np
 
 from trms_cli import __version__
 from trms_cli.core.errors import RecordingError
-from trms_cli.core.whole_file import NO_ROOM, explain_os_error
+from trms_cli.core.whole_file import BINARY, NO_ROOM, explain_os_error
 from trms_cli.recordings.chunk_writer import ChunkWriter
 from trms_cli.recordings.topics import (
     EVENT_TOPIC,
@@ -46,7 +46,7 @@ class AppendStream:
     """
 
     def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        self._descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | BINARY, 0o666)
         self._pending = bytearray()
         self._size = 0
 

@@ -16,6 +16,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from trms_cli.core.whole_file import BINARY
+
 #: The folder of the index; ``off``: runs do not tell of themselves.
 ENVIRONMENT = "TRMS_RUNS"
 _LEDGER = "new-runs"
@@ -47,7 +49,7 @@ def note_run(log: Path) -> None:
         line = os.fsencode(os.path.realpath(log)) + b"\n"
         ledger = index_folder() / f"{_LEDGER}-{_host()}"
         ledger.parent.mkdir(parents=True, exist_ok=True)
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | BINARY
         file = os.open(ledger, flags, 0o600)
         try:
             if os.fstat(file).st_size < _LONGEST_LEDGER:

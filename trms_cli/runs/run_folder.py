@@ -146,7 +146,7 @@ def hold(folder: Path) -> bool:
         return True
     with _guard:
         _forget_written()
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         about = os.fstat(descriptor)
         key = (about.st_dev, about.st_ino)
         entry = _folders.get(key)

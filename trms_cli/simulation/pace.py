@@ -147,7 +147,7 @@ def undisturbed() -> Iterator[list[str]]:
         if hasattr(os, "sched_setscheduler"):
             with suppress(OSError):
                 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-        with suppress(OSError, AttributeError):
+        with suppress(OSError, AttributeError, TypeError):
             ctypes.CDLL(None).munlockall()
 
 
@@ -157,7 +157,7 @@ def _lock_memory() -> str:
         if library.mlockall(_MCL_CURRENT | _MCL_FUTURE) == 0:
             return ""
         reason = os.strerror(ctypes.get_errno())
-    except (OSError, AttributeError) as error:
+    except (OSError, AttributeError, TypeError) as error:  # the last where there is no libc
         reason = str(error)
     return f"memory may be paged out (mlockall: {reason})"
 

@@ -12,7 +12,6 @@ other command takes it for a run.
 """
 
 import contextlib
-import fcntl
 import json
 import os
 import platform
@@ -76,7 +75,7 @@ class RunFolder:
         if self.last_attempt() > attempt:
             return False
         me = {"host": platform.node(), "pid": os.getpid(), "born": _born(os.getpid())}
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
         try:
             file = os.open(self.attempt_file(attempt), flags, 0o644)
         except FileExistsError:
@@ -220,10 +219,10 @@ def problem_of(status: Mapping[str, Any]) -> str:
 
 
 def is_alive(claim: Claim) -> bool | None:
-    """Whether the process of a claim lives; None where it is of another host."""
+    """Whether the process of a claim lives; None on another host, and where nobody can ask."""
     if not claim.host:
         return False
-    if claim.host != platform.node():
+    if claim.host != platform.node() or os.name != "posix":
         return None
     try:
         os.kill(claim.pid, 0)  # asks; sends nothing
@@ -284,8 +283,10 @@ LOCK_NAME = ".lock"
 def has_driver(folder: Path) -> bool:
     """Whether a process drives the sweep in a folder at present."""
     try:
-        descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CLOEXEC)
-    except OSError:
+        import fcntl
+
+        descriptor = os.open(folder / LOCK_NAME, os.O_RDWR)
+    except (ImportError, OSError):
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -455,9 +456,14 @@ def drive_sweep(folder: Path) -> Iterator[None]:
 
     Raises ConfigurationError if another process drives it.
     """
+    try:
+        import fcntl
+    except ImportError:  # a system without these locks
+        yield
+        return
     file = folder / LOCK_NAME
     try:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
         raise explain_disk_error(error, file) from error
     try:

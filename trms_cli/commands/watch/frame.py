@@ -541,7 +541,8 @@ class Player:
     def _stop_run(self, *, at_once: bool) -> None:
         """Ask a run that goes on by the clock to land its rig, as Ctrl-C in its terminal does."""
         process = self.run.process
-        if process is None:
+        # elsewhere than on POSIX a signal would end it, and no rig would be landed
+        if process is None or os.name != "posix":
             return
         with suppress(OSError):
             os.kill(process, signal.SIGINT)

@@ -153,7 +153,9 @@ class Keyboard:
         try:
             import termios
             import tty
-
+        except ImportError:  # a system without such terminals
+            return self
+        try:
             self._descriptor = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._descriptor)
             tty.setcbreak(self._descriptor)
@@ -161,7 +163,7 @@ class Keyboard:
             modes[6][termios.VSUSP] = bytes([os.fpathconf(self._descriptor, "PC_VDISABLE") & 0xFF])
             termios.tcsetattr(self._descriptor, termios.TCSANOW, modes)
             self.there = True
-        except (ImportError, OSError, ValueError, AttributeError, termios.error):
+        except (OSError, ValueError, AttributeError, termios.error):
             self._restore()  # no terminal, or one that has no such modes
         except BaseException:
             self.__exit__(None, None, None)

@@ -115,6 +115,13 @@ def open_serial(port: str, baudrate: int, where: str = "plant") -> StreamTranspo
 
     Raises ConfigurationError for a port that is not there or that somebody else has.
     """
+    if os.name != "posix":
+        raise ConfigurationError(
+            "serial lines are waited for as POSIX has it, and this system is none",
+            where=f"{where}.port",
+            remedy="plant=udp, or plant=callable with pyserial in your own functions",
+        )
+
     import serial
     from serial.tools import list_ports
 
