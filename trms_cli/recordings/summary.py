@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trms_cli.recordings.recording import Recording, quantum, runs
+from trms_cli.core.arrays import stretches
+from trms_cli.recordings.recording import Recording, quantum
 
 #: Half width of the running median, samples; more than half of it wrong is no outlier.
 _HALF_WIDTH = 3
@@ -236,7 +237,7 @@ def _extreme_share(values: np.ndarray) -> float | None:
     elsewhere = ~at_limit[1:]
     if np.any(elsewhere) and np.mean(np.diff(there)[elsewhere] == 0) > _HELD_SHARE:
         return None
-    return sum(count for _, count in runs(at_limit) if count > 1) / len(there)
+    return sum(end - begin for begin, end in stretches(at_limit) if end - begin > 1) / len(there)
 
 
 def _motion(values: np.ndarray, step: float, angle: bool) -> tuple[float | None, int]:
