@@ -73,12 +73,10 @@ def outliers(values: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
 
 def _run_around(y: np.ndarray, k: int, candidates: set[int], limit: float) -> range | None:
     """The shortest run of candidates around one that stands apart from both sides."""
-    for count in range(1, _HALF_WIDTH + 1):
-        for first in range(k - count + 1, k + 1):
-            run = range(first, first + count)
-            if candidates.issuperset(run) and _stands_apart(y, run, limit):
-                return run
-    return None
+    lengths = range(1, _HALF_WIDTH + 1)
+    runs = (range(first, first + n) for n in lengths for first in range(k - n + 1, k + 1))
+    apart = (run for run in runs if candidates.issuperset(run) and _stands_apart(y, run, limit))
+    return next(apart, None)
 
 
 def _off_cubic(y: np.ndarray, run: range) -> float:
