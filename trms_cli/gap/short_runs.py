@@ -95,7 +95,7 @@ class ShortRuns:
         whole = windows.count == count
         #: (m,) array; of each window: its recording, and its beginning in s from that one's
         self.recording: IntArray = windows.recording
-        self.begin: FloatArray = windows.first_in_recording * step
+        self.begin: FloatArray = windows.first_in_recording.astype(float) * step
         self.length, self._whole = count * step, whole
         self._t: FloatArray = step * np.arange(count, dtype=float)
         self._weights = np.array([_weights(self._t, e.order) for e in self.equations])
