@@ -140,7 +140,7 @@ def promised_beginnings(fitted: FittedModel, traces: EffectTraces) -> FloatArray
     """
     n_f = len(fitted.fit.point)
     across, own, towards, parameters, prior = [], [], [], np.zeros((n_f, n_f)), np.zeros(n_f)
-    for products in window_products(fitted, traces):
+    for products, _ in window_products(fitted, traces):
         parameters += products[:, :n_f, :n_f].sum(axis=0)
         prior += products[:, :n_f, -1].sum(axis=0)
         across.append(products[:, :n_f, n_f:-1])
