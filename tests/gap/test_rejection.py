@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trms_cli.gap.diagnosis import NotTestable
+from trms_cli.gap.diagnosis import NotTestable, SizeEstimate
 from trms_cli.gap.rejection import inclusion, rejected_effects, upper_bound
 from trms_cli.gap.signatures import Signatures
 
@@ -28,13 +28,9 @@ def candidate(name: str, lower: float = 0.0, upper: float = 1.0, simulated: bool
 
 
 def entry(names: tuple[str, ...], score: float) -> Any:
-    fit = SimpleNamespace(
-        score=score, predictive=np.array([score]), theta=np.full(len(names), 0.004),
-        sd=np.full(len(names), 0.001),
-    )  # fmt: skip
-    problem = SimpleNamespace(names=[f"{name}.size" for name in names])
-    structure = SimpleNamespace(problem=problem)
-    return SimpleNamespace(names=names, fit=fit, structure=structure, at_mean_gains=fit.theta)
+    fit = SimpleNamespace(score=score, predictive=np.array([score]))
+    sizes = {f"{name}.size": SizeEstimate(value=0.004, sd=0.001, unit="N*m") for name in names}
+    return SimpleNamespace(names=names, fit=fit, sizes=sizes)
 
 
 @pytest.mark.parametrize(

@@ -78,13 +78,9 @@ class EffectContext:
     def accelerations(self, *axes: str) -> tuple[ca.SX, ca.SX]:
         """Angular accelerations of some axes, and what torques on them add.
 
-        Returns
-        -------
-        acceleration : (n, 1)
-            rad/s², with all that the model beneath and its disturbances ``w`` do; impulses (dry
-            friction, stops) are no part of it.
-        mobility : (n, n)
-            1/(kg m²): ``mobility[i, j]`` is what one N m on axis ``j`` adds to axis ``i``.
+        Returns ``acceleration`` (n, 1), rad/s², with all that the model beneath and its
+        disturbances ``w`` do; impulses (dry friction, stops) are no part of it. And ``mobility``
+        (n, n), 1/(kg m²): ``mobility[i, j]`` is what one N m on axis ``j`` adds to axis ``i``.
         """
         both = acceleration_function(self.model, axes)
         acceleration, mobility = both(self.x, self.u, self.p, self.w)
@@ -172,6 +168,10 @@ class Effect(ABC):
         if hasattr(self, "rotor"):
             rotor_input(model, self.rotor)
 
+    def overrides(self, *methods: str) -> bool:
+        """Whether it changes any of what these stand for."""
+        return any(getattr(type(self), name) is not getattr(Effect, name) for name in methods)
+
     @property
     def locations(self) -> tuple[str, ...]:
         """Where in the rig's block diagram it acts (``main_thrust``, ``yaw_moment``…).
@@ -221,10 +221,7 @@ class Effect(ABC):
     ) -> ca.SX:
         """Memory of the sensors after a part of the step; see :meth:`Model.sensor_path`.
 
-        Parameters
-        ----------
-        before, after : (n_y, 1)
-            What the sensors beneath read at the beginning and the end of the part.
+        ``before``, ``after``, (n_y, 1): what the sensors beneath read at its beginning and end.
         """
         return at.sensor_memory
 
@@ -295,19 +292,9 @@ class SensorEffect(Effect):
     ) -> FloatArray | None:
         """The inverse of the effect: what the channel shows without it; None: there is none.
 
-        Parameters
-        ----------
-        recorded : (n,) array
-            Of the channel, in its unit, NaN where missing.
-        step : float
-            s, between samples.
-        sizes : mapping
-            Values of :meth:`parameters`.
-
-        Returns
-        -------
-        (n,) array or None
-            NaN where the recording does not tell.
+        NaN where the recording does not tell. ``recorded``, (n,) array: of the channel, in its
+        unit, NaN where missing. ``step``: s, between samples. ``sizes``: values of
+        :meth:`parameters`.
         """
         return None
 

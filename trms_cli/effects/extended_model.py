@@ -44,7 +44,7 @@ class ExtendedModel(Model):
             )
         self.base, self.effect, self.effect_name = base, effect, name
         self.take_over(base)
-        self.friction_holds = base.friction_holds or _has_impulse(effect)
+        self.friction_holds = base.friction_holds or effect.overrides("impulse")
         self.states = (*base.states, *_prefixed(effect, effect.states(), name))
         self._sizes = tuple(parameter.name for parameter in own)
         self.parameters = base.parameters.concatenate(
@@ -159,8 +159,7 @@ class ExtendedModel(Model):
 
 def _require_outside(base: Model, name: str, effect: Effect) -> None:
     """Refuse an effect that would change the equations of a model that has none."""
-    inside = ("states", "derivative", "disturbance", "impulse")
-    if any(getattr(type(effect), part) is not getattr(Effect, part) for part in inside):
+    if effect.overrides("states", "derivative", "disturbance", "impulse"):
         raise ModelError(
             f"{name} acts within the equations of motion, and model {base.name!r} only steps from "
             "sample to sample",
@@ -177,7 +176,7 @@ def extend_model(model: Model, effects: Mapping[str, Effect]) -> Model:
     which effects are named does not matter to the mechanics: an impulse has to meet the inertia
     that the other effects leave.
     """
-    ordered = sorted(effects.items(), key=lambda item: _has_impulse(item[1]))
+    ordered = sorted(effects.items(), key=lambda item: item[1].overrides("impulse"))
     for name, effect in ordered:
         model = ExtendedModel(model, name, effect)
     return model
@@ -188,10 +187,6 @@ def effect_names(model: Model) -> tuple[str, ...]:
     if not isinstance(model, ExtendedModel):
         return ()
     return (*effect_names(model.base), model.effect_name)
-
-
-def _has_impulse(effect: Effect) -> bool:
-    return type(effect).impulse is not Effect.impulse
 
 
 @lru_cache(maxsize=128)

@@ -152,33 +152,27 @@ def _built(
 
 
 def _check_parameters(content: ParameterFile, model: Model, path: str) -> None:
-    """Refuse a file whose parameters are not those of the built-in model."""
-    if not isinstance(content.model, str):
-        _check_ranges(model, path)
-        return
-    option = _option("model", content.model, path)
-    reference = build(option, path).parameters
-    # A set may serve several models: what its kin has and this one does not, it may give.
-    shared = parameter_file(option["parameter_set"]).parameters
-    for name in content.parameters:
-        if name not in reference and name not in shared:
-            raise ModelError(
-                f"model {content.model!r} has no parameter {name!r}",
-                where=f"{path}: parameters.{name}",
-                remedy=nearest(name, reference.names),
-            )
-    for name in reference.names:
-        if name not in model.parameters:
-            raise ModelError(
-                "the parameter is missing",
-                where=f"{path}: parameters.{name}",
-                remedy=f"give its value in {reference[name].unit or '1'}, "
-                f"for instance {reference[name].value:g}",
-            )
-    _check_ranges(model, path)
-
-
-def _check_ranges(model: Model, path: str) -> None:
+    """Refuse parameters that are not those of the built-in model, or out of range."""
+    if isinstance(content.model, str):
+        option = _option("model", content.model, path)
+        reference = build(option, path).parameters
+        # A set may serve several models: what its kin has and this one does not, it may give.
+        shared = parameter_file(option["parameter_set"]).parameters
+        for name in content.parameters:
+            if name not in reference and name not in shared:
+                raise ModelError(
+                    f"model {content.model!r} has no parameter {name!r}",
+                    where=f"{path}: parameters.{name}",
+                    remedy=nearest(name, reference.names),
+                )
+        for name in reference.names:
+            if name not in model.parameters:
+                raise ModelError(
+                    "the parameter is missing",
+                    where=f"{path}: parameters.{name}",
+                    remedy=f"give its value in {reference[name].unit or '1'}, "
+                    f"for instance {reference[name].value:g}",
+                )
     for parameter in model.parameters:
         if not parameter.lower <= parameter.value <= parameter.upper:  # also refuses NaN
             raise ModelError(

@@ -7,7 +7,7 @@ angle, or the rotor whose speed it shows; where there is neither, for the signal
 
 import casadi as ca
 
-from trms_cli.effects.effect import Effect, EffectContext, SensorEffect
+from trms_cli.effects.effect import EffectContext, SensorEffect
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.models.model import Model, names
 
@@ -36,23 +36,19 @@ def places_of(model: ExtendedModel) -> tuple[str, ...]:
         return tuple(effect.locations)
     axis = base.axes.get(getattr(effect, "axis", ""))
     rotor = base.rotors.get(getattr(effect, "rotor", ""))
-    if _overrides(effect, "input_path", "memory"):
+    if effect.overrides("input_path", "memory"):
         inputs = tuple(effect.port(base).values()) or names(base.inputs)
         return tuple(actuator_place(base, name) for name in inputs)
-    if _overrides(effect, "output", "reading", "sensor_path"):
+    if effect.overrides("output", "reading", "sensor_path"):
         outputs = names(base.outputs)
         if isinstance(effect, SensorEffect):
             outputs = (outputs[effect.row(base)],)
         return tuple(sensor_place(base, name) for name in outputs)
-    if _overrides(effect, "disturbance") and (equations := _disturbed_equations(model)):
+    if effect.overrides("disturbance") and (equations := _disturbed_equations(model)):
         return equations
     if rotor is not None:
         return (rotor.torque,)
     return () if axis is None else (axis.moment,)
-
-
-def _overrides(effect: Effect, *methods: str) -> bool:
-    return any(getattr(type(effect), name) is not getattr(Effect, name) for name in methods)
 
 
 def _disturbed_equations(model: ExtendedModel) -> tuple[str, ...]:

@@ -244,14 +244,7 @@ def _of_thrust(
         return
     # what is no rotor pushes in proportion
     thrust = plain[speed] * (ca.fabs(plain[speed]) if own in parts.rotors else 1.0)
-    rate, tilting, other = (
-        _variable(words)
-        for words in (
-            parts.rate(axis),
-            parts.angle(parts.tilting),
-            parts.rate(parts.other_axis(axis)),
-        )
-    )
+    rate, other = (_variable(parts.rate(name)) for name in (axis, parts.other_axis(axis)))
     for name in (_variable(parts.angle(any_axis)) for any_axis in parts.axes):
         yield f"thrust_{name}", thrust * scaled[name]
         yield f"thrust_{name}_square", thrust * scaled[name] ** 2
@@ -261,6 +254,7 @@ def _of_thrust(
     spin = f"{parts.drive_of(parts.tilting)}_speed"
     if spin in plain and other in plain:
         yield "gyroscopic", plain[spin] * plain[other]
+        tilting = _variable(parts.angle(parts.tilting))
         yield "gyroscopic_angle", plain[spin] * plain[other] * scaled[tilting]
 
 

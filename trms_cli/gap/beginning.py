@@ -140,7 +140,7 @@ def promised_beginnings(fitted: FittedModel, traces: EffectTraces) -> FloatArray
     """
     n_f = len(fitted.fit.point)
     across, own, towards, parameters, prior = [], [], [], np.zeros((n_f, n_f)), np.zeros(n_f)
-    for products in window_products(fitted, traces):
+    for products, _ in window_products(fitted, traces):
         parameters += products[:, :n_f, :n_f].sum(axis=0)
         prior += products[:, :n_f, -1].sum(axis=0)
         across.append(products[:, :n_f, n_f:-1])
@@ -257,8 +257,8 @@ def onset_of(fitted: FittedModel) -> Onset | None:
     if not isinstance(windows, GatedWindows):
         return None
     samples, log = _moments(fitted, windows)
-    start = _beginning_of_recording(windows, windows.begins)
-    at, share = (samples - start) * windows.sample_time, np.exp(log - log.max())
+    start = windows.first - windows.first_in_recording  # of the recording
+    at, share = (samples - start[windows.begins]) * windows.sample_time, np.exp(log - log.max())
     order = np.argsort(at, kind="stable")
     cumulated = np.cumsum(share[order]) / share.sum()
     low, high = (float(at[order][np.searchsorted(cumulated, q)]) for q in (_TAIL, 1 - _TAIL))
@@ -323,13 +323,6 @@ def _with_best_start(white: FloatArray, gap: FloatArray) -> FloatArray:
         "kx,kx->k", across, np.linalg.solve(inner, across[..., None])[..., 0]
     )
     return np.asarray(0.5 * ((z**2).sum(axis=1) + gap @ gap - explained_squares))
-
-
-def _beginning_of_recording(windows: Windows, window: int) -> int:
-    """The first sample, of all recordings in a row, of the one that a window is of."""
-    ends = np.cumsum([len(dataset) for dataset in windows.datasets])
-    number = int(np.searchsorted(ends, windows.first[window], side="right"))
-    return int(ends[number] - len(windows.datasets[number]))
 
 
 def later_and_better(

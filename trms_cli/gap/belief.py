@@ -426,12 +426,9 @@ def usual_gains(
     Where drives differ from day to day, a friction that never gained anything is not doubted for
     it, or by a share alone: recordings so few have not shown all by which they differ.
 
-    Parameters
-    ----------
-    gains : mapping
-        nats of each difference, and of :data:`UNNAMED`, in the recordings in question.
-    between : sequence of mapping
-        The same where each recording of the known state is questioned; not of each difference.
+    ``gains``: nats of each difference, and of :data:`UNNAMED`, in the recordings in question.
+    ``between``: the same where each recording of the known state is questioned; not of each
+    difference.
     """
     best = max(gains, key=gains.__getitem__)
     return tuple(

@@ -33,7 +33,7 @@ from trms_cli.gap.problem import (
     recorded_values,
 )
 from trms_cli.gap.shrinkage import Shrinkage, change_shrinkage, stand_in
-from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
+from trms_cli.gap.wording import ELSEWHERE, effects_text, probability_text, sizes
 from trms_cli.models.rig_parts import diagram_rows, parts_of
 from trms_cli.models.scales import port_scale
 
@@ -49,10 +49,7 @@ def change_result(problem: GapProblem, comparison: StateComparison) -> Diagnosis
     questioned, known_state = comparison.questioned, comparison.questioned.known_state
     best = _answer(comparison, verdict)
     changed = verdict in ("effect", "parameters_only", "undecided")
-    before = {
-        f.name: f.prior_mean + d * f.scale
-        for f, d in zip(known_state.free, known_state.deviation, strict=True)
-    }
+    before = {f.name: known_state.model.parameters[f.name].value for f in known_state.free}
     change = {}
     if verdict == "parameters_only" and best.began is None:
         change[best.difference.name] = (float(best.value[0]), float(best.sd[0]))
@@ -290,7 +287,7 @@ def _next(problem: GapProblem, comparison: StateComparison) -> NextExperiment | 
     words += [f"ref.{angle}.frequency={0.5 / _HOLD_TIME:g}"]
     words += [f"ref.{other}.amplitude=0" for other in moments.values() if other != angle]
     return NextExperiment(
-        why=f"{listing([readable(name) for name in groups[0]])} are one where {readable(angle)} is "
+        why=f"{effects_text(groups[0])} are one where {readable(angle)} is "
         f"held at {hold_angle:.2f} {unit}: held at {hold_angle - step:.2f} and "
         f"{hold_angle + step:.2f} {unit}, {_HOLD_TIME:g} s each, a constant torque, a weight "
         "and a gain differ; record it on the rig, and compare it with the same recordings",
@@ -401,7 +398,7 @@ def change_sentence(
 ) -> str:
     """What a colleague would say; ``baseline``: what was compared with."""
     best = _answer(comparison, verdict)
-    place = listing([readable(p) for p in best.difference.locations], "and")
+    place = effects_text(best.difference.locations)
     if verdict == "no_change":
         return (
             f"Nothing changed against {baseline}, with probability "

@@ -13,6 +13,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
+from trms_cli.gap.diagnosis import SizeEstimate
 from trms_cli.gap.discrepancy import (
     Discrepancy,
     FilterGains,
@@ -366,6 +367,27 @@ class FittedModel:
         return values
 
     @property
+    def sizes(self) -> dict[str, SizeEstimate]:
+        """Those of its effects, by ``<effect>.<size>``."""
+        theta, sd = self.at_mean_gains, self.fit.sd
+        return {
+            free.name: SizeEstimate(
+                value=float(theta[i]),
+                sd=float(sd[i]),
+                unit=free.unit,
+                others=self.unresolved.get(free.name, ()),
+            )
+            for i, free in enumerate(self.structure.problem.free)
+            if "." in free.name and any(free.name.startswith(f"{n}.") for n in self.names)
+        }
+
+    @property
+    def moves(self) -> dict[str, float]:
+        """How far each parameter lies off its prior, if it has one, in its standard deviations."""
+        free = zip(self.at_mean_gains, self.structure.problem.free, strict=True)
+        return {p.name: float((v - p.prior_mean) / p.prior_sd) for v, p in free if p.prior_sd}
+
+    @property
     def residuals(self) -> FloatArray:
         """Measured less predicted, the drives' gains as they were fitted, (m, c, n_y)."""
         return -self.objective.simulated(self.fit.point, self.fit.starts, slopes=False).r
@@ -489,6 +511,13 @@ class ModelStructure:
         """The free parameters by name as a vector (n_f,); those not named at their starts."""
         return np.array([values.get(p.name, p.start) for p in self.problem.free])
 
+    def point(
+        self, values: Mapping[str, float], nominal: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Where a search may begin: :meth:`theta` and :meth:`starts`."""
+        theta = self.theta(values)
+        return theta, self.starts(theta, nominal)
+
     def starts(self, theta: FloatArray, nominal: FloatArray) -> FloatArray:
         """Starts (m, n_x): those of the nominal model's states as given, the rest estimated."""
         n = nominal.shape[1]
@@ -521,11 +550,11 @@ class ModelStructure:
         bounds = (np.concatenate([low, -wide]), np.concatenate([high, wide]))
         n_f, first = len(low), np.zeros(len(wide)) if gains is None else gains
 
+        def objective(at: Point) -> InnovationObjective:
+            return InnovationObjective(self.windows, metric, self.starts(at.theta[:n_f], centres))
+
         def search(at: Point, steps: int) -> SearchEnd:
-            objective = InnovationObjective(
-                self.windows, metric, self.starts(at.theta[:n_f], centres)
-            )
-            return minimise(objective, at, bounds=bounds, iterations=steps, tolerance=tolerance)
+            return minimise(objective(at), at, bounds=bounds, iterations=steps, tolerance=tolerance)
 
         begins = [Point(np.concatenate([theta, first]), starts, np.inf) for theta, starts in points]
         trial = min(_TRIAL, iterations) if len(begins) > 1 else iterations
@@ -541,12 +570,10 @@ class ModelStructure:
         at, *rest = sorted((end.point for end in ends), key=lambda p: p.cost)
         as_well = [p.theta[:n_f] for p in rest if p.cost < at.cost + _AS_WELL]
         worth = None
-        theta = at.theta[:n_f]
         if with_evidence and np.isfinite(at.cost):
-            objective = InnovationObjective(self.windows, metric, self.starts(theta, centres))
-            worth = evidence(objective, at.theta, at.starts, bounds)
+            worth = evidence(objective(at), at.theta, at.starts, bounds)
         others = np.reshape(as_well, (-1, n_f))
-        fit = CandidateFit(theta, at.starts, at.theta[n_f:], worth, others)
+        fit = CandidateFit(at.theta[:n_f], at.starts, at.theta[n_f:], worth, others)
         return FittedModel(self, fit, metric, centres)
 
     def with_fixed_parameters(self) -> ModelStructure:

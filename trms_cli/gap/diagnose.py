@@ -78,21 +78,17 @@ class _Watch:
         return {name: round(value, 3) for name, value in self.seconds.items()}
 
     def tell_whole(self, share: float, message: str) -> bool:
-        """Note how far the diagnosis is, where it has stages of its own."""
+        """Note how far the diagnosis is; an answer of no ends it as Ctrl-C does."""
         if not self._progress.update(share, float("nan"), message):
             raise KeyboardInterrupt
         return True
 
     def tell(self, share: float, message: str) -> bool:
-        """Note how far the stage is; an answer of no ends the diagnosis as Ctrl-C does."""
-        names = list(_BEGINS)
-        at = names.index(self._stage)
+        """Note how far the stage is."""
         low = _BEGINS[self._stage]
-        high = _BEGINS[names[at + 1]] if at + 1 < len(names) else 1.0
+        high = min((begin for begin in _BEGINS.values() if begin > low), default=1.0)
         text = f"{self._stage}: {message}" if message else self._stage
-        if not self._progress.update(low + (high - low) * share, float("nan"), text):
-            raise KeyboardInterrupt
-        return True
+        return self.tell_whole(low + (high - low) * share, text)
 
 
 def diagnose(problem: GapProblem, progress: Progress | None = None) -> DiagnosisResult:

@@ -1,5 +1,6 @@
 """What the stages of a diagnosis have found, as one diagnosis: verdict, causes, places, tables."""
 
+from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,6 +13,7 @@ from trms_cli.core.findings import json_data
 from trms_cli.core.wording import listing
 from trms_cli.gap import free_runs
 from trms_cli.gap.beginning import onset_of
+from trms_cli.gap.belief import standard_error
 from trms_cli.gap.competing_model import FittedModel
 from trms_cli.gap.diagnosis import (
     NO_EFFECT,
@@ -26,7 +28,6 @@ from trms_cli.gap.diagnosis import (
     NotTestable,
     RaceEntry,
     RegionShare,
-    SizeEstimate,
     Traces,
 )
 from trms_cli.gap.discrepancy import input_channels
@@ -230,12 +231,13 @@ def _contributions(effects: tuple[str, ...], race: Race) -> list[float]:
 
 def _causes(stages: StageResults) -> tuple[Cause, ...]:
     race, posterior = stages.race, stages.posterior
+    marks = stages.problem.marks.items()  # of the effects that readings alone show
     causes = [
         Cause(
             effects=effects,
             probability=probability,
-            parameters=(_sizes(fitted) if (fitted := posterior.fitted(race, effects)) else {})
-            | _marked_sizes(stages, effects),
+            parameters=(fitted.sizes if (fitted := posterior.fitted(race, effects)) else {})
+            | {f"{name}.{size}": value for name, (size, value) in marks if name in effects},
             onset=onset_of(fitted) if fitted and probability >= _LEAST_PROBABILITY else None,
         )
         for effects, probability in posterior.probabilities.items()
@@ -245,29 +247,9 @@ def _causes(stages: StageResults) -> tuple[Cause, ...]:
     return tuple(replace(cause, probability=cause.probability / total) for cause in causes)
 
 
-def _marked_sizes(stages: StageResults, effects: tuple[str, ...]) -> dict[str, SizeEstimate]:
-    """Of the effects that readings alone show."""
-    marks = stages.problem.marks.items()
-    return {f"{name}.{size}": value for name, (size, value) in marks if name in effects}
-
-
-def _sizes(entry: FittedModel) -> dict[str, SizeEstimate]:
-    theta, sd = entry.at_mean_gains, entry.fit.sd
-    return {
-        free.name: SizeEstimate(
-            value=float(theta[i]),
-            sd=float(sd[i]),
-            unit=free.unit,
-            others=entry.unresolved.get(free.name, ()),
-        )
-        for i, free in enumerate(entry.structure.problem.free)
-        if "." in free.name and any(free.name.startswith(f"{n}.") for n in entry.names)
-    }
-
-
 def _parameters(stages: StageResults) -> dict[str, FittedParameter]:
     entry = stages.posterior.corrected or stages.race.refit
-    structure, theta, sd = entry.structure, entry.at_mean_gains, entry.fit.sd
+    theta, sd, moves = entry.at_mean_gains, entry.fit.sd, entry.moves
     own = set(stages.race.refit.structure.problem.names)
     return {
         free.name: FittedParameter(
@@ -275,11 +257,9 @@ def _parameters(stages: StageResults) -> dict[str, FittedParameter]:
             fitted=float(theta[i]),
             sd=float(sd[i]),
             unit=free.unit,
-            moved=None
-            if not free.prior_sd
-            else float((theta[i] - free.prior_mean) / free.prior_sd),
+            moved=moves.get(free.name),
         )
-        for i, free in enumerate(structure.problem.free)
+        for i, free in enumerate(entry.structure.problem.free)
         if free.name in own
     }
 
@@ -298,7 +278,7 @@ def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
     """Everyone, and those without an effect to compare with."""
     race, features = stages.race, stages.posterior.features
     refit = race.refit
-    own = refit.fit.predictive
+    own, nominal = refit.fit.predictive, set(refit.structure.problem.names)
     finite = features.scores[np.isfinite(features.scores)]
     most = max(features.behind, float(np.max(finite, initial=0.0)), 1e-9)
 
@@ -306,13 +286,12 @@ def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
         effects: tuple[str, ...], predictive: FloatArray, moved: float, **more: Any
     ) -> RaceEntry:
         apart = predictive - own
-        error = np.std(apart, ddof=1) * np.sqrt(len(apart)) if len(apart) > 1 else 0.0
         explained = float(np.clip(apart.sum() / most, 0.0, 1.0))
-        gain = {"score": float(apart.sum()), "se": float(error), "explained": explained}
+        gain = {"score": float(apart.sum()), "se": standard_error(apart), "explained": explained}
         return RaceEntry(effects=effects, moved=moved, **{**gain, **more})
 
     def move(entry: FittedModel) -> float:
-        return max(_moves(race, entry).values(), default=0.0)
+        return max((abs(m) for n, m in entry.moves.items() if n in nominal), default=0.0)
 
     rows = [RaceEntry(effects=(), score=0.0, se=0.0, explained=0.0, moved=move(refit))]
     if refit.raw.evidence is not None:
@@ -322,19 +301,8 @@ def _race(stages: StageResults) -> tuple[RaceEntry, ...]:
         rows.append(row(("flexible",), fitted.fit.predictive, move(fitted)))
     for entry in race.entries:
         if entry.fit.evidence is not None and np.isfinite(entry.fit.predictive).all():
-            sizes = _sizes(entry)
-            rows.append(row(entry.names, entry.fit.predictive, move(entry), parameters=sizes))
+            rows.append(row(entry.names, entry.fit.predictive, move(entry), parameters=entry.sizes))
     return tuple(sorted(rows, key=lambda row: -row.score))
-
-
-def _moves(race: Race, entry: FittedModel) -> dict[str, float]:
-    """Size of the move of each nominal parameter that has a prior, in its standard deviations."""
-    own = set(race.refit.structure.problem.names)
-    return {
-        free.name: float(abs(entry.at_mean_gains[i] - free.prior_mean) / free.prior_sd)
-        for i, free in enumerate(entry.structure.problem.free)
-        if free.name in own and free.prior_sd
-    }
 
 
 def _detectable(stages: StageResults) -> dict[str, Detectable]:
@@ -364,9 +332,9 @@ def _not_testable(stages: StageResults) -> tuple[NotTestable, ...]:
 
 
 def _remarks(stages: StageResults) -> tuple[str, ...]:
-    parts, race = stages.parts, stages.race
+    parts = stages.parts
     remarks = list(dict.fromkeys(r for d in (*parts.whole, *parts.fitted) for r in d.remarks))
-    far = {name: move for name, move in _moves(race, race.refit).items() if move > 3.0}
+    far = {name: abs(m) for name, m in stages.race.refit.moves.items() if abs(m) > 3.0}
     proxies = []
     if far:
         moves = listing([f"{name} by {move:.1f}" for name, move in far.items()])
@@ -394,22 +362,20 @@ def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperi
     race, posterior, candidates = stages.race, stages.posterior, stages.candidates
     best = posterior.best
     apart: list[str] = []
-    values: dict[str, float] = {}
+    values: Mapping[str, float] = {}
     shares = None
-    if best is not None and posterior.confusable and best.names[0] not in NO_EFFECT:
+    if best is not None:
+        values = ChainMap(*(entry.values for entry in race.entries))
+    if best is not None and posterior.confusable:
         apart = list(dict.fromkeys(n for group in posterior.confusable for n in group))
-        for entry in race.entries:
-            values = {**entry.values, **values}
         shares = best.metric.shares
-    elif best is not None and best.names[0] not in NO_EFFECT:
+    elif best is not None:
         # the traces differ, and yet no answer is sure: the likeliest are to be told apart
         rivals = [n for n, p in posterior.probabilities.items() if p >= _RIVAL and len(n) == 1]
         apart = [name for (name,) in rivals if name in candidates]
         if len(apart) < 2 and max(posterior.probabilities.values()) < _SURE:
             apart = _kin(best.names[0], candidates)
         apart = apart if len(apart) > 1 else []
-        for entry in race.entries:
-            values = {**entry.values, **values}
     try:
         return advise(
             refit=race.refit,
@@ -427,13 +393,12 @@ def _advice(stages: StageResults, unseen: tuple[NotTestable, ...]) -> NextExperi
 def _kin(name: str, candidates: Mapping[str, CandidateEffect]) -> list[str]:
     """An effect, then those of which one is a special case of the other."""
     own = candidates.get(name)
-    kin = [own] if own is not None else []
-    for other in candidates.values():
-        if own is not None and (
-            other.special_case(candidates) is own or own.special_case(candidates) is other
-        ):
-            kin.append(other)
-    return [candidate.name for candidate in kin]
+    if own is None:
+        return []
+    simpler = own.special_case(candidates)
+    others = candidates.values()
+    kin = [c.name for c in others if c is simpler or c.special_case(candidates) is own]
+    return [name, *kin]
 
 
 def why_not_testable(race: Race, candidate: CandidateEffect) -> str:

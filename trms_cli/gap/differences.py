@@ -108,12 +108,10 @@ def _every_difference(
         if only is None or f.name in only:
             yield _of_parameter(questioned, f)
     simulated = [c for c in candidates.values() if c.simulated and (only is None or c.name in only)]
-
-    def simulate_effect(c: CandidateEffect) -> Difference:
-        return _of_effect(questioned, c.name, c.effect, c.locations, "effect")
-
     with ThreadPoolExecutor(max(1, jobs)) as pool:
-        yield from pool.map(simulate_effect, simulated)
+        yield from pool.map(
+            lambda c: _of_effect(questioned, c.name, c.effect, c.locations, "effect"), simulated
+        )
 
 
 def _of_parameter(questioned: NewRecordings, f: FreeParameter) -> Difference:
@@ -227,16 +225,15 @@ class _SensorInverse:
         channel = self.questioned.known_state.model.outputs[self.output].name
         datasets: list[Dataset | None] = []
         for dataset in self.questioned.runs.windows.datasets:
-            if channel not in names(dataset.outputs):
-                datasets.append(dataset)
-                continue
-            without = self.effect.inverse(dataset.output(channel), dataset.sample_time, of)
-            measurements = dataset.measurements.copy()
-            if without is not None:
-                measurements[:, names(dataset.outputs).index(channel)] = without
-            datasets.append(
-                None if without is None else replace(dataset, measurements=measurements)
-            )
+            own: Dataset | None = dataset
+            if channel in names(dataset.outputs):
+                without = self.effect.inverse(dataset.output(channel), dataset.sample_time, of)
+                own = None
+                if without is not None:
+                    measurements = dataset.measurements.copy()
+                    measurements[:, names(dataset.outputs).index(channel)] = without
+                    own = replace(dataset, measurements=measurements)
+            datasets.append(own)
         return datasets
 
     def _runs(self, sizes: FloatArray) -> ShortRuns:

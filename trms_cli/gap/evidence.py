@@ -133,7 +133,9 @@ class ChangeEvidence:
 
         (k, m, e) array.
         """
-        gates = _gates(self.runs, onsets)
+        runs, recording = self.runs, onsets[:, :1]
+        gates = np.where((runs.recording > recording)[..., None], 1.0, runs.gate(onsets[:, 1]))
+        gates = np.where((runs.recording < recording)[..., None], 0.0, gates)
         return 1.0 - gates if self.ends else gates
 
     def with_covariance(self, e: int, covariance: FloatArray) -> float:
@@ -416,11 +418,3 @@ def _onsets(runs: ShortRuns) -> tuple[FloatArray, float]:
         begin = runs.begin[runs.recording == recording]
         rows += [(recording, t) for t in np.arange(begin[0] + step, begin[-1] + step / 2, step)]
     return np.array(rows, dtype=float).reshape(-1, 2), step
-
-
-def _gates(runs: ShortRuns, onsets: FloatArray) -> FloatArray:
-    """Share of a unit force from each onset on, (k, m, e)."""
-    gate = runs.gate(onsets[:, 1])
-    before = runs.recording < onsets[:, :1]
-    after = runs.recording > onsets[:, :1]
-    return np.where(before[..., None], 0.0, np.where(after[..., None], 1.0, gate))

@@ -172,22 +172,22 @@ def race_chart(diagnosis: DiagnosisResult) -> draw.Chart:
         [whisker(e) for e in bar_entries],
         [note(e) for e in bar_entries],
     )
-    is_comparison = compared_with_a_state(diagnosis)
-    axis = draw.Axis(
-        "log evidence above that nothing changed"
-        if is_comparison
-        else "held-out log density above the refitted model",
-        "nats",
-        (1.05 * low, 1.04 * top),
+    label = "held-out log density above the refitted model"
+    caption = (
+        "How much better each candidate, fitted together with the model's parameters, foretells "
+        "blocks that it was not fitted to, one step ahead; whiskers: one standard error."
     )
+    if compared_with_a_state(diagnosis):
+        label = "log evidence above that nothing changed"
+        caption = (
+            "How much more probable the missing forces are with each difference than with none, "
+            "averaged over its sizes and onsets."
+        )
+    axis = draw.Axis(label, "nats", (1.05 * low, 1.04 * top))
     return draw.Chart(
         "race",
         [draw.Panel(axis, draw.Axis(""), [bars])],
-        "How much more probable the missing forces are with each difference than with none, "
-        "averaged over its sizes and onsets."
-        if is_comparison
-        else "How much better each candidate, fitted together with the model's parameters, "
-        "foretells blocks that it was not fitted to, one step ahead; whiskers: one standard error.",
+        caption,
         columns=1,
         width=_WIDTH,
         height=0.8 + 0.27 * len(bar_entries),
@@ -401,26 +401,21 @@ def _tests(diagnosis: DiagnosisResult) -> report.Section | None:
     rejections = [test for test in diagnosis.tests if test.rejected]
     caption = (
         "Probability that noise and errors of usual size make that, corrected for the number of "
-        f"tests; red: larger. {_margins(diagnosis)}"
-    ).rstrip()
+        "tests; red: larger."
+    )
+    power = max((t.margin for t in diagnosis.tests if t.margin > 1), default=None)
+    correlation = max((t.margin for t in diagnosis.tests if 0 < t.margin < 1), default=None)
+    if power is not None and correlation is not None:
+        caption += (
+            f" The margin: errors {wording.percent(power - 1)} stronger than usual, and "
+            f"correlations of {correlation:g}, still count as usual."
+        )
     heads = ["test", *(wording.signal(channel) for channel in channels)]
     return report.Section(
         "Is there a gap at all?",
         [_tests_words(diagnosis, rejections)],
         [report.Table(heads, rows, caption, on_screen=False)],
         folded=True,
-    )
-
-
-def _margins(diagnosis: DiagnosisResult) -> str:
-    """What still counts as usual."""
-    power = max((t.margin for t in diagnosis.tests if t.margin > 1), default=None)
-    correlation = max((t.margin for t in diagnosis.tests if 0 < t.margin < 1), default=None)
-    if power is None or correlation is None:
-        return ""
-    return (
-        f"The margin: errors {wording.percent(power - 1)} stronger than usual, and correlations "
-        f"of {correlation:g}, still count as usual."
     )
 
 

@@ -384,22 +384,20 @@ def _where(diagnosis: DiagnosisResult) -> report.Section | None:
     if not places:
         return None
     regions = {
-        place.location: [r for r in diagnosis.region if r.location == place.location]
+        place.location: "; ".join(
+            f"{wording.gap_share(region.share)} where {region.condition}"
+            for region in diagnosis.region
+            if region.location == place.location
+        )
         for place in places
     }
-
-    def when(location: str) -> str:
-        return "; ".join(
-            f"{wording.gap_share(r.share)} where {r.condition}" for r in regions[location]
-        )
-
     columns = [
         report.Column("place", lambda place: place_name(place.location)),
         report.Column("share of the gap", lambda place: wording.gap_share(place.share)),
         report.Column("95 % interval", lambda place: wording.gap_interval(place.ci95)),
     ]
     if any(regions.values()):
-        columns.append(report.Column("of its energy", lambda place: when(place.location)))
+        columns.append(report.Column("of its energy", lambda place: regions[place.location]))
     rig = draw.RigDiagram(
         "places",
         {p.location: (p.share, *p.ci95) for p in diagnosis.where},

@@ -74,7 +74,8 @@ _GROUPED = re.compile(r"_bump_\d+$|(?:co)?sine_(?=\d+$)")
 _READING = 0.02
 
 
-class _Free:
+@dataclass(frozen=True, kw_only=True)
+class _Free(Residual):
     """A residual with its coefficients as sizes, so that they can be fitted.
 
     The spans are sizes too, which no fit moves: recordings share the compiled code.
@@ -82,7 +83,6 @@ class _Free:
 
     names: tuple[str, ...]
     unit: str
-    spans: tuple[tuple[str, float, float], ...]
 
     def parameters(self) -> tuple[Parameter, ...]:
         spans = []
@@ -99,14 +99,12 @@ class _Free:
 
 @dataclass(frozen=True, kw_only=True)
 class _FreeForce(_Free, ResidualForce):
-    names: tuple[str, ...]
-    unit: str
+    pass
 
 
 @dataclass(frozen=True, kw_only=True)
 class _FreeReading(_Free, ResidualReading):
-    names: tuple[str, ...]
-    unit: str
+    pass
 
 
 @dataclass(frozen=True)
@@ -131,32 +129,23 @@ class Flexible:
     @cached_property
     def effects(self) -> dict[str, Residual]:
         """The fitted residuals as effects of a model, by name."""
-        values = self.fitted.values_at_mean_gains
-        return {
-            candidate.name: _with_fixed_coefficients(candidate, values)
-            for candidate in self.fitted.structure.effects
-        }
-
-
-def _with_fixed_coefficients(candidate: CandidateEffect, values: Mapping[str, float]) -> Residual:
-    """A residual with its coefficients as constants."""
-    free = candidate.effect
-    assert isinstance(free, (_FreeForce, _FreeReading))
-    coefficients = tuple((name, values[f"{candidate.name}.{name}"]) for name in free.names)
-    if isinstance(free, _FreeForce):
-        return ResidualForce(equation=free.equation, terms=coefficients, spans=free.spans)
-    return ResidualReading(axis=free.axis, terms=coefficients, spans=free.spans)
+        values, effects = self.fitted.values_at_mean_gains, dict[str, Residual]()
+        for name, free in ((c.name, c.effect) for c in self.fitted.structure.effects):
+            assert isinstance(free, (_FreeForce, _FreeReading))
+            fixed = tuple((n, values[f"{name}.{n}"]) for n in free.names)
+            if isinstance(free, _FreeForce):
+                effects[name] = ResidualForce(equation=free.equation, terms=fixed, spans=free.spans)
+            else:
+                effects[name] = ResidualReading(axis=free.axis, terms=fixed, spans=free.spans)
+        return effects
 
 
 def node_of(effect: Residual) -> dict[str, Any]:
     """A residual as an option says it: its class and its arguments."""
-    node: dict[str, Any] = {"_target_": f"{type(effect).__module__}.{type(effect).__name__}"}
-    if isinstance(effect, ResidualForce):
-        node["equation"] = effect.equation
-    elif isinstance(effect, ResidualReading):
-        node["axis"] = effect.axis
+    place = "equation" if isinstance(effect, ResidualForce) else "axis"
     return {
-        **node,
+        "_target_": f"{type(effect).__module__}.{type(effect).__name__}",
+        place: getattr(effect, place),
         "terms": [list(term) for term in effect.terms],
         "spans": [list(span) for span in effect.spans],
         "share": effect.share,
@@ -233,11 +222,10 @@ def _fit_residual(
         if before is not None:
             values |= before.fitted.values
     structure = refit.structure.with_effects(*candidates)
-    theta = structure.theta(values)
     metric = replace(refit.metric, shares=shares)
     fitted = structure.fit(
         metric,
-        [(theta, structure.starts(theta, refit.fit.starts))],
+        [structure.point(values, refit.fit.starts)],
         centres=refit.centres,
         gains=refit.fit.gains,
         iterations=_STEPS,

@@ -18,7 +18,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.problem import HORIZONS
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.free_runs import StartSearch, fitted_starts, simulated_windows
@@ -118,7 +118,10 @@ def start_states(model: Model, rollout: Rollout, dataset: Dataset, first: IntArr
     begin = first - samples
     # From the beginning of the recording step by step, so that slow memories follow the rig.
     anchors = np.arange(0, begin[-1], max(1, round(_ANCHORED / dataset.sample_time)))
-    stops = np.unique(np.concatenate([anchors[~_near(anchors, begin, samples)], begin]))
+    # a start stands in for an anchor that it follows within a few samples
+    after = np.minimum(np.searchsorted(begin, anchors), len(begin) - 1)
+    far = np.abs(begin[after] - anchors) > 2 * samples
+    stops = np.unique(np.concatenate([anchors[far], begin]))
     p = model.parameters.values
     guess = StartEstimator(rollout, dataset, stops).at(p).states[np.searchsorted(stops, begin)]
     prior_sd = _prior_sd(model, dataset.sample_time)
@@ -209,12 +212,6 @@ def _mean_squared_errors(
         total = np.sum(np.where(present, squares, 0.0), axis=1)
         mean: FloatArray = total / present.sum(axis=1)
     return np.where(present.any(axis=1), mean, np.nan)
-
-
-def _near(anchors: IntArray, begin: IntArray, samples: int) -> BoolArray:
-    """Anchors that a start stands in for: one follows within a few samples."""
-    after = np.minimum(np.searchsorted(begin, anchors), len(begin) - 1)
-    return np.abs(begin[after] - anchors) <= 2 * samples
 
 
 def joined_errors(

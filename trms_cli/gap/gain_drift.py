@@ -102,14 +102,10 @@ def gain_drift(windows: Windows, trajectory: Trajectory) -> WanderingGains:
 def _hats(windows: Windows) -> FloatArray:
     """Hat functions over each recording at the samples of all windows, (m, c, k)."""
     m, c = windows.inside.shape
-    parts, offset = [], 0
-    for dataset in windows.datasets:
+    sample, parts = windows.first_in_recording[:, None] + np.arange(c), []
+    for number, dataset in enumerate(windows.datasets):
         count = min(max(2, round(dataset.duration / _KNOT_SPACING) + 1), _MOST_KNOTS)
-        last = len(dataset) - 1
-        sample = windows.first[:, None] + np.arange(c) - offset
-        own = (windows.first >= offset) & (windows.first < offset + len(dataset))
-        place = np.clip(sample / max(last, 1), 0.0, 1.0) * (count - 1)
+        place = np.clip(sample / max(len(dataset) - 1, 1), 0.0, 1.0) * (count - 1)
         hats = np.maximum(1 - np.abs(place[..., None] - np.arange(count)), 0.0)
-        parts.append(np.where(own[:, None, None], hats, 0.0))
-        offset += len(dataset)
+        parts.append(np.where((windows.recording == number)[:, None, None], hats, 0.0))
     return np.concatenate(parts, axis=2).reshape(m, c, -1)

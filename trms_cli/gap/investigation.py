@@ -69,7 +69,8 @@ class RigLimits:
         watch = replace(self.envelope, readings={}, rates={}).init(setup)
         applied = np.clip(commands, self.lower, self.upper)
         for k in range(1, len(applied)):
-            applied[k] = watch.limited(applied[k], applied[k - 1], _unheard)
+            # nobody hears the events of a rig that is only simulated
+            applied[k] = watch.limited(applied[k], applied[k - 1], lambda *_: None)
         return applied
 
     def bounds(self, model: Model) -> dict[str, float]:
@@ -85,10 +86,6 @@ class RigLimits:
 def _axes(model: Model) -> dict[str, str]:
     """Axis by its angle or position."""
     return {own.angle: name for name, own in model.axes.items()}
-
-
-def _unheard(kind: str, source: str, words: str, value: float) -> None:
-    """An event of a rig that is only simulated."""
 
 
 class Ensemble:
@@ -179,7 +176,9 @@ def posterior_ensemble(
     than the recordings leave open, and the commands are rather too small.
     """
     random = np.random.default_rng([seed, len(diagnosis.recordings)])
-    base = _with_free_laws(model, diagnosis)
+    laws = dict.fromkeys(name.split(".")[0] for name in diagnosis.parameters if "." in name)
+    missing = {n: MODEL_FORM[n] for n in laws if n in MODEL_FORM and n not in effect_names(model)}
+    base = extend_model(model, missing)
     members: list[tuple[Model, FloatArray]] = []
     for cause in diagnosis.causes:
         if cause.probability < _POSSIBLE and members:
@@ -190,12 +189,6 @@ def posterior_ensemble(
     if not members:
         members = [(base, base.parameters.values[None])]
     return Ensemble(members, limits, sample_time)
-
-
-def _with_free_laws(model: Model, diagnosis: DiagnosisResult) -> Model:
-    laws = dict.fromkeys(name.split(".")[0] for name in diagnosis.parameters if "." in name)
-    missing = {n: MODEL_FORM[n] for n in laws if n in MODEL_FORM and n not in effect_names(model)}
-    return extend_model(model, missing)
 
 
 def _fitted_effects(cause: Cause) -> tuple[str, ...]:
@@ -335,11 +328,6 @@ class Investigation:
         self.ending, self.sentence = ending, sentence
 
 
-def is_sure(diagnosis: DiagnosisResult, sure: float) -> bool:
-    """Whether one answer, an effect or none, has the probability that is asked for."""
-    return max((cause.probability for cause in diagnosis.causes), default=0.0) >= sure
-
-
 def ending_of(
     investigation: Investigation, diagnosis: DiagnosisResult
 ) -> tuple[Ending, str] | None:
@@ -347,8 +335,9 @@ def ending_of(
 
     The budget is looked at once the experiment is known.
     """
-    if is_sure(diagnosis, investigation.sure):
-        top = max(diagnosis.causes, key=lambda cause: cause.probability)
+    # one answer, an effect or none
+    top = max(diagnosis.causes, key=lambda cause: cause.probability, default=None)
+    if top is not None and top.probability >= investigation.sure:
         return "sure", f"{cause_name(top.effects)} has a probability of {percent(top.probability)}"
     advice = diagnosis.next_experiment
     if advice is None:

@@ -135,7 +135,9 @@ class StandingError:
         from scipy.optimize import minimize  # 0.4 s to import
 
         observed_series = reference.only(reference.is_observed)
-        centres, spreads = _beliefs(scale)
+        believed = [*((c * scale, s) for c, s in (_WHITE, _SLOW, _OFFSET))]
+        believed += [_OF_PRIORS, _OF_PRIORS_BETWEEN]
+        centres, spreads = np.log([c for c, _ in believed]), np.array([s for _, s in believed])
 
         def cost(v: FloatArray) -> float:
             with np.errstate(all="ignore"):
@@ -184,13 +186,6 @@ class StandingError:
             yield ForcePrediction(weight, mean, whitener, -0.5 * float(np.log(size).sum()))
 
 
-def _beliefs(scale: float) -> tuple[FloatArray, FloatArray]:
-    """Centres and deviations of the logarithms of :class:`ErrorSizes`."""
-    rows = [(c * scale, s) for c, s in (_WHITE, _SLOW, _OFFSET)]
-    rows += [_OF_PRIORS, _OF_PRIORS_BETWEEN]
-    return np.log([c for c, _ in rows]), np.array([s for _, s in rows])
-
-
 @dataclass(frozen=True)
 class KnownState:
     """A model fitted to recordings of a rig in a known state, with what it lacks on them."""
@@ -222,7 +217,8 @@ def known_state(
     runs = ShortRuns(model, references)
     deviation, sd = np.zeros(len(free)), np.ones(len(free))
     for remaining in reversed(range(_ROUNDS + 1)):
-        fitted_model = with_values(model, _values(free, deviation))
+        values = {f.name: f.prior_mean + d * f.scale for f, d in zip(free, deviation, strict=True)}
+        fitted_model = with_values(model, values)
         forces = runs.forces(fitted_model.parameters.values)
         slopes = _slopes(runs, fitted_model, free, forces)
         series = _series(runs, forces, slopes, deviation)
@@ -248,10 +244,6 @@ def known_state(
 
 #: Rounds of the fit, the longest step of one in prior deviations, and the step of the slopes.
 _ROUNDS, _LONGEST, _STEP = 3, 2.0, 0.2
-
-
-def _values(free: Sequence[FreeParameter], deviation: FloatArray) -> dict[str, float]:
-    return {f.name: f.prior_mean + d * f.scale for f, d in zip(free, deviation, strict=True)}
 
 
 def _clip_to_bounds(free: Sequence[FreeParameter], deviation: FloatArray) -> FloatArray:

@@ -109,9 +109,8 @@ def _simulate_recording(
     # an output that is not measured now will not be measured then
     measurements[:, np.isnan(sample.measurements).all(axis=0)] = np.nan
     measurements[:, ~np.isfinite(sample.noise_sd)] = np.nan
-    return replace(empty.part(0, used), measurements=np.ascontiguousarray(measurements)), np.array(
-        starts
-    )
+    dataset = replace(empty.part(0, used), measurements=np.ascontiguousarray(measurements))
+    return dataset, np.array(starts)
 
 
 #: Multiples of a fitted size at which an effect may imitate another: its trace changes its shape

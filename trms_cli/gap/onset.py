@@ -22,7 +22,7 @@ from trms_cli.gap.change import StateComparison, compare_with
 from trms_cli.gap.change_result import change_result
 from trms_cli.gap.competing_model import nominal_parameters
 from trms_cli.gap.diagnosis import DiagnosisResult
-from trms_cli.gap.known_state import known_state
+from trms_cli.gap.known_state import KnownState, known_state
 from trms_cli.gap.problem import GapProblem, applicable_candidates, comparable_datasets
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import names
@@ -51,8 +51,7 @@ def diagnose_onset(
         if any(2 * cut > len(d) for cut, d in zip(cuts, recordings, strict=True)):
             return None
         try:
-            look, begins = _compare_beginnings(problem, recordings, cuts, watch)
-            ends = begins and _compare_ends(problem, recordings, cuts, watch)
+            look, begins, ends = _comparisons(problem, recordings, cuts, watch)
         except (TrmsError, FloatingPointError, np.linalg.LinAlgError):
             return None  # a look that fails is no reason to lose a diagnosis
         times = [cut * d.sample_time for cut, d in zip(cuts, recordings, strict=True)]
@@ -82,49 +81,35 @@ def _rather(ends: StateComparison, begins: StateComparison) -> bool:
     return is_effect and float(ends.gains[0] - begins.gains[0]) > _RATHER_ENDS
 
 
-def _compare_ends(
+def _comparisons(
     problem: GapProblem,
     recordings: list[Dataset],
     cuts: list[int],
     watch: Callable[[float, str], bool],
-) -> StateComparison:
-    """The beginnings of recordings against their last parts."""
+) -> tuple[StateComparison, StateComparison | None, StateComparison | None]:
+    """The rests of recordings against their beginnings: a look, and all if it sees something.
+
+    Then their beginnings against their last parts, too.
+    """
+
+    def known(parts: list[Dataset]) -> KnownState:
+        return known_state(problem.model, nominal_parameters(problem.model), parts)
+
+    def within(low: float, reach: float) -> Callable[[float, str], bool]:
+        return lambda share, message: watch(low + reach * share, message)
+
     pairs = list(zip(recordings, cuts, strict=True))
-    last = [d.part(len(d) - cut, len(d)) for d, cut in pairs]
-    before = [d.part(0, len(d) - cut) for d, cut in pairs]
-    reference_state = known_state(problem.model, nominal_parameters(problem.model), last)
-    candidates, inapplicable = applicable_candidates(problem.model, problem.candidates)
-
-    def later(share: float, message: str) -> bool:
-        return watch(0.65 + 0.35 * share, message)
-
-    return compare_with(
-        reference_state, before, candidates, inapplicable, problem.jobs, later, ends=True
-    )
-
-
-def _compare_beginnings(
-    problem: GapProblem,
-    recordings: list[Dataset],
-    cuts: list[int],
-    watch: Callable[[float, str], bool],
-) -> tuple[StateComparison, StateComparison | None]:
-    """The rests of recordings against their beginnings: a look, and all if it sees something."""
-    first = [d.part(0, cut) for d, cut in zip(recordings, cuts, strict=True)]
-    rest = [d.part(cut, len(d)) for d, cut in zip(recordings, cuts, strict=True)]
-    reference_state = known_state(problem.model, nominal_parameters(problem.model), first)
-    look = compare_with(
-        reference_state, rest, {}, {}, watch=lambda share, message: watch(0.3 * share, message)
-    )
+    first, rest = known([d.part(0, cut) for d, cut in pairs]), [d.part(c, len(d)) for d, c in pairs]
+    look = compare_with(first, rest, {}, {}, watch=within(0.0, 0.3))
     watch(0.3, "since when")
     if look.unchanged > _LOOKED_AT:
-        return look, None
-    candidates, inapplicable = applicable_candidates(problem.model, problem.candidates)
-
-    def later(share: float, message: str) -> bool:
-        return watch(0.3 + 0.35 * share, message)
-
-    return look, compare_with(reference_state, rest, candidates, inapplicable, problem.jobs, later)
+        return look, None, None
+    effects = applicable_candidates(problem.model, problem.candidates)
+    begins = compare_with(first, rest, *effects, problem.jobs, within(0.3, 0.35))
+    last = known([d.part(len(d) - cut, len(d)) for d, cut in pairs])
+    before = [d.part(0, len(d) - cut) for d, cut in pairs]
+    ends = compare_with(last, before, *effects, problem.jobs, within(0.65, 0.35), ends=True)
+    return look, begins, ends
 
 
 def _later(comparison: StateComparison, times: list[float]) -> StateComparison:

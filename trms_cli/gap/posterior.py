@@ -157,11 +157,7 @@ def _unlikely_beginnings(fitted: FittedModel) -> float:
 def _strain(refit: FittedModel, fitted: FittedModel) -> float:
     """Nats by which the parameters that the refit has lie off their priors, in a fit."""
     own = set(refit.structure.problem.names)
-    return 0.5 * sum(
-        float((value - free.prior_mean) / free.prior_sd) ** 2
-        for value, free in zip(fitted.at_mean_gains, fitted.structure.problem.free, strict=True)
-        if free.name in own and free.prior_sd
-    )
+    return 0.5 * sum(move**2 for name, move in fitted.moves.items() if name in own)
 
 
 def resampled_features(

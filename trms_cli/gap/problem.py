@@ -269,7 +269,9 @@ def quantum_of(values: FloatArray, unit: str = "rad") -> float:
     """Step of a sensor: the smallest that is common between its values; 0 if they are smooth."""
     values = values[np.isfinite(values)]
     # digits are counted from one radian, or from the power of ten of what is no angle
-    size = 1.0 if unit.startswith("rad") or not np.ptp(values) else _power_of_ten(np.ptp(values))
+    size = 1.0
+    if not unit.startswith("rad") and np.ptp(values):
+        size = float(10.0 ** np.ceil(np.log10(np.ptp(values))))
     levels = np.unique(np.round(values / size, 9))
     steps = np.diff(levels)
     # a recording has few digits, so that a step is met a little too small or too large
@@ -281,10 +283,6 @@ def quantum_of(values: FloatArray, unit: str = "rad") -> float:
     quantum = float(np.mean(near))
     whole = np.abs(steps / quantum - np.round(steps / quantum)) < 0.1
     return quantum * size if whole.mean() > 0.9 else 0.0
-
-
-def _power_of_ten(value: float) -> float:
-    return float(10.0 ** np.ceil(np.log10(value)))
 
 
 def finest_step(model: Model, datasets: Sequence[Dataset]) -> float:
@@ -440,7 +438,7 @@ def applicable_candidates(
             places_of(with_effect),
             tuple(_free(name, i, p) for i, p in enumerate(effect.parameters())),
             variants(effect.parameters()),
-            type(effect).noise_sd is not Effect.noise_sd,
+            effect.overrides("noise_sd"),
         )
     return applicable, inapplicable
 
@@ -521,10 +519,10 @@ def _shapes(parameters: Sequence[Parameter], indices: Sequence[int]) -> list[tup
 def _free(effect: str, index: int, parameter: Parameter) -> FreeParameter:
     low, high = parameter.typical or (parameter.value / 3, parameter.value * 3)
     amplitude = index == 0 or _vanishes(parameter)
-    if amplitude or low <= 0 <= high:
+    if amplitude:
         mean, sd = 0.0, _WIDTH * max(abs(low), abs(high))
-        if not amplitude:
-            mean, sd = parameter.value, max(abs(low), abs(high))
+    elif low <= 0 <= high:
+        mean, sd = parameter.value, max(abs(low), abs(high))
     else:
         mean, sd = parameter.value, high - low
     lower, upper = parameter.lower, parameter.upper

@@ -12,14 +12,13 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from threading import Lock
 from typing import Any, TypeVar
 
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.effects.effect import Effect
 from trms_cli.effects.input_bias import InputBias
 from trms_cli.gap.beginning import (
     at_its_moment,
@@ -214,7 +213,7 @@ class _Search:
             candidate = self._candidates[name]
             structure = self._refit.structure.with_effects(candidate)
             own_signs = [sign for sign in (signs[0], signs[-1]) if len(sign.rows(name))]
-            sizes = [_promising_sizes(candidate, sign, 0.3) for sign in own_signs]
+            sizes = [_scaled_sizes(candidate, sign, 0.3) for sign in own_signs]
             more = _other_frequencies(candidate, signs[0], 0.3) + self._grid(candidate)
             return self._once(
                 f"single {name}",
@@ -244,7 +243,7 @@ class _Search:
         where the model sticks and the rig does not is a matter of its size.
         """
         problem = self._refit.structure.problem
-        if problem.model.bench_sizes or not _is_dry_friction(candidate):
+        if problem.model.bench_sizes or not candidate.effect.overrides("impulse"):
             return []
         prior = {p.name: p.prior_mean for p in problem.free}
         return [prior | _sizes_of_row(candidate, row) for row in candidate.variants]
@@ -406,10 +405,7 @@ class _Search:
             for size in other.free:
                 short = size.name.removeprefix(f"{other.name}.")
                 values[size.name] = entry.values.get(f"{own.name}.{short}", size.start)
-        theta = structure.theta(values)
-        starts = structure.starts(theta, entry.fit.starts[:, : self._refit.centres.shape[1]])
-        point = [(theta, starts)]
-        return _fit_from_points(structure, entry, _between(entry), point).in_own_metric()
+        return _fit_beside(structure, entry, values)
 
     def _pair(
         self, place: tuple[Signatures, int, int], singles: Mapping[str, FittedModel]
@@ -423,7 +419,7 @@ class _Search:
         structure = self._refit.structure.with_effects(*candidates)
         sizes: dict[str, float] = {}
         for candidate, row in zip(candidates, rows, strict=True):
-            sizes |= _scaled_sizes(candidate, sign, row, 0.3)
+            sizes |= _scaled_sizes(candidate, sign, 0.3, row)
         key = "pair " + "+".join(structure.names)
         best_single = max(
             (singles[name] for name in structure.names if name in singles),
@@ -441,7 +437,7 @@ class _Search:
         """Effects whose traces point at what the best leaves over."""
         raced_names = {frozenset(entry.names) for entry in entries}
         places = self._beside(best, best.names)
-        is_dry = any(_is_dry_friction(candidate) for candidate in best.structure.effects)
+        is_dry = any(c.effect.overrides("impulse") for c in best.structure.effects)
 
         def is_worth_it(place: _Place) -> bool:
             is_constant = isinstance(self._candidates[place.name].effect, InputBias)
@@ -491,7 +487,7 @@ class _Search:
         signs = [project_traces(base, self._traces), project_traces(_tightened(base), self._traces)]
         others = {n: c for n, c in self._candidates.items() if n not in but_for}
         names = short_list(signs, others, self._effort.pairs)
-        if any(_is_dry_friction(candidate) for candidate in base.structure.effects):
+        if any(c.effect.overrides("impulse") for c in base.structure.effects):
             constant = (n for n, c in others.items() if isinstance(c.effect, InputBias))
             names = list(dict.fromkeys((*names, *constant)))
         return [
@@ -502,10 +498,11 @@ class _Search:
         def fit_place(place: _Place) -> FittedModel:
             base, partner = place.base, self._candidates[place.name]
             structure = self._refit.structure.with_effects(*base.structure.effects, partner)
+            values = {**base.values, **_scaled_sizes(partner, place.beside, 0.2)}
             return self._once(
                 "joint " + "+".join((*base.names, place.name)),
                 structure,
-                lambda: _fit_partner(base, partner, place.beside, structure),
+                lambda: _fit_beside(structure, base, values),
             )
 
         return self._each(fit_place, places, (0.85, 0.95), message)
@@ -518,15 +515,13 @@ class _Search:
         more: Sequence[Mapping[str, float]] = (),
     ) -> FittedModel:
         """Also from ``partial_fit``, a fit with a part of the effects, and at ``more`` sizes."""
-        points = _points(structure, self._refit, sizes)
-        for own in more:
-            theta = structure.theta({**self._refit.values, **own})
-            points.append((theta, structure.starts(theta, self._refit.fit.starts)))
+        refit = self._refit
+        points = _points(structure, refit, sizes)
+        points += [structure.point({**refit.values, **own}, refit.fit.starts) for own in more]
         if partial_fit is not None:
-            theta = structure.theta({**sizes[0], **partial_fit.values})
-            starts = partial_fit.fit.starts[:, : self._refit.centres.shape[1]]
-            points.append((theta, structure.starts(theta, starts)))
-        return _fit_from_points(structure, self._refit, self._middle, points)
+            starts = partial_fit.fit.starts[:, : refit.centres.shape[1]]
+            points.append(structure.point({**sizes[0], **partial_fit.values}, starts))
+        return _fit_from_points(structure, refit, self._middle, points)
 
     def _once(
         self, key: str, structure: ModelStructure, search: Callable[[], FittedModel]
@@ -581,10 +576,6 @@ class _Search:
         return results
 
 
-def _is_dry_friction(candidate: CandidateEffect) -> bool:
-    return type(candidate.effect).impulse is not Effect.impulse
-
-
 def better_of(entries: Sequence[FittedModel], again: Sequence[FittedModel]) -> list[FittedModel]:
     """Entries, and fits made anew where they are new or say more, one of each effects."""
     best = {entry.names: entry for entry in entries}
@@ -617,12 +608,8 @@ def short_list(
         )
         for sign in signs
     ]
-    names: list[str] = []
-    for places in zip_longest(*orders):
-        for name in places:
-            if name is not None and name not in names and len(names) < count:
-                names.append(name)
-    return names
+    in_turn = dict.fromkeys(chain.from_iterable(zip_longest(*orders)))
+    return [name for name in in_turn if name is not None][:count]
 
 
 def promising_pairs(
@@ -634,13 +621,12 @@ def promising_pairs(
     """
     pairs: dict[frozenset[str], tuple[Signatures, int, int]] = {}
     orders = [[(sign, i, j) for _, i, j in sign.pairs(_ENTRANCE)] for sign in signs]
-    for places in zip_longest(*orders):
-        for place in places:
-            if place is None or len(pairs) >= count:
-                continue
-            names = frozenset(place[0].names[row] for row in place[1:])
-            if names <= candidates.keys():
-                pairs.setdefault(names, place)
+    for place in chain.from_iterable(zip_longest(*orders)):
+        if place is None or len(pairs) >= count:
+            continue
+        names = frozenset(place[0].names[row] for row in place[1:])
+        if names <= candidates.keys():
+            pairs.setdefault(names, place)
     return list(pairs.values())
 
 
@@ -661,27 +647,23 @@ def _fit_from_points(
     )
 
 
+def _fit_beside(
+    structure: ModelStructure, base: FittedModel, values: Mapping[str, float]
+) -> FittedModel:
+    """A fit with more effects than another has, or fewer, from where that ended."""
+    point = structure.point(values, base.fit.starts[:, : base.centres.shape[1]])
+    return _fit_from_points(structure, base, _between(base), [point]).in_own_metric()
+
+
 def _points(
     structure: ModelStructure, refit: Refit, sizes: Sequence[Mapping[str, float]]
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Where searches begin: the refit's optimum and the priors' centre, each with its sizes."""
     prior = {p.name: p.prior_mean for p in refit.structure.problem.free}
-    thetas = [
-        structure.theta({**values, **own})
+    return [
+        structure.point({**values, **own}, refit.fit.starts)
         for values, own in zip((refit.values, prior), sizes, strict=True)
     ]
-    return [(theta, structure.starts(theta, refit.fit.starts)) for theta in thetas]
-
-
-def _promising_sizes(
-    candidate: CandidateEffect, sign: Signatures, least: float
-) -> dict[str, float]:
-    """Sizes at which the trace explains most of what is left over, by name.
-
-    Of the most promising row those that can make the effect vanish are scaled, by ``least`` to two
-    times, within their bounds.
-    """
-    return _scaled_sizes(candidate, sign, sign.best(candidate.name)[1], least)
 
 
 #: How many frequencies a search for a mode begins at, besides the most promising one.
@@ -701,7 +683,7 @@ def _other_frequencies(
     for row in best.tolist():
         row_by_frequency.setdefault(float(sign.sizes[row][at]), row)
     others = list(row_by_frequency.values())[1 : 1 + _FREQUENCIES]
-    return [_scaled_sizes(candidate, sign, row, least) for row in others]
+    return [_scaled_sizes(candidate, sign, least, row) for row in others]
 
 
 def _sizes_of_row(candidate: CandidateEffect, values: FloatArray) -> dict[str, float]:
@@ -709,8 +691,14 @@ def _sizes_of_row(candidate: CandidateEffect, values: FloatArray) -> dict[str, f
 
 
 def _scaled_sizes(
-    candidate: CandidateEffect, sign: Signatures, row: int, least: float
+    candidate: CandidateEffect, sign: Signatures, least: float, row: int | None = None
 ) -> dict[str, float]:
+    """Sizes at which a row's trace explains most of what is left over, by name.
+
+    Those that can make the effect vanish are scaled, by ``least`` to two times. ``row``: None for
+    the most promising one.
+    """
+    row = sign.best(candidate.name)[1] if row is None else row
     by = float(np.clip(sign.towards[row] / max(sign.projected_energy[row], 1e-12), least, 2.0))
     return _sizes_scaled_by(candidate, sign.sizes[row], by)
 
@@ -726,12 +714,3 @@ def _sizes_scaled_by(
             np.clip(size * factor, free.lower, free.upper) if is_scaled else size
         )
     return sizes
-
-
-def _fit_partner(
-    best: FittedModel, partner: CandidateEffect, signs: Signatures, structure: ModelStructure
-) -> FittedModel:
-    sizes = _promising_sizes(partner, signs, 0.2)
-    theta = structure.theta({**best.values, **sizes})
-    starts = structure.starts(theta, best.fit.starts[:, : best.centres.shape[1]])
-    return _fit_from_points(structure, best, _between(best), [(theta, starts)]).in_own_metric()

@@ -6,16 +6,17 @@ than its upper bound.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from trms_cli.core.wording import listing, number, percent, readable
-from trms_cli.gap.competing_model import FittedModel
-from trms_cli.gap.diagnosis import NO_EFFECT, NotTestable, Rejected, SizeEstimate
+from trms_cli.core.wording import number, percent
+from trms_cli.gap.diagnosis import NO_EFFECT, NotTestable, Rejected
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.problem import CandidateEffect
 from trms_cli.gap.race import Race
 from trms_cli.gap.signatures import Signatures
+from trms_cli.gap.wording import effects_text
 
 #: Nats within which, and traces' cosine from which, two are not told apart.
 _NATS, _ALIKE = 3.0, 0.99
@@ -64,7 +65,8 @@ def rejected_effects(
             row = Rejected(effect=name, upper_bound=bound, reason=why, unit=unit)
             ranking.append((-1e6 + _promise(beside, name), row))
             continue
-        score, size = entry.fit.score - own, _first_size(entry, candidate)
+        score = entry.fit.score - own
+        size = replace(entry.sizes[candidate.free[0].name], others=())
         why, alike = _of_fit(name, score, fitted_answer, race, posterior)
         # it may be the answer itself, or beside none
         if bound is None or alike or not fitted_answer:
@@ -117,20 +119,9 @@ def upper_bound(signs: Signatures, candidate: CandidateEffect) -> float | None:
     return least[1]
 
 
-def _first_size(entry: FittedModel, candidate: CandidateEffect) -> SizeEstimate:
-    name = candidate.free[0].name
-    i = entry.structure.problem.names.index(name)
-    sd = float(entry.fit.sd[i])
-    return SizeEstimate(value=float(entry.at_mean_gains[i]), sd=sd, unit=candidate.free[0].unit)
-
-
 def _promise(signs: Signatures, name: str) -> float:
     """Nats that its trace promises; −∞ of one that was never simulated."""
     return signs.best(name)[0] if len(signs.rows(name)) else -np.inf
-
-
-def _in_words(effects: Sequence[str]) -> str:
-    return listing([readable(name) for name in effects])
 
 
 def _of_fit(
@@ -154,22 +145,25 @@ def _of_fit(
     behind = best.fit.score - own - score
     group = next((g for g in posterior.confusable if name in g and set(g) & set(answer)), None)
     if group is not None:
-        return f"not told apart from {_in_words(answer)}: {_by_how_much(behind)}", True
+        return f"not told apart from {effects_text(answer)}: {_by_how_much(behind)}", True
     together = entries.get(tuple(sorted((*answer, name))))
     if together is not None:
         more = together.fit.score - best.fit.score
         if more > _NOTHING:
             return (
-                f"alone it explains {behind:.0f} nats less than {_in_words(answer)}; beside it, "
+                f"alone it explains {behind:.0f} nats less than {effects_text(answer)}; beside it, "
                 f"{more:.0f} nats more"
             ), False
         if behind > _NATS:
-            less = f"explains {behind:.0f} nats less than {_in_words(answer)}"
+            less = f"explains {behind:.0f} nats less than {effects_text(answer)}"
             return f"{less}, and adds nothing beside it", False
     if behind < _NATS:
         p = posterior.probabilities.get((name,), 0.0)
-        return f"{_by_how_much(behind)} as {_in_words(answer)}: probability {percent(p)}", True
-    return f"explains {behind:.0f} nats less than {_in_words(answer)}", False
+        return (
+            f"{_by_how_much(behind)} as {effects_text(answer)}: probability {percent(p)}",
+            True,
+        )
+    return f"explains {behind:.0f} nats less than {effects_text(answer)}", False
 
 
 def _by_how_much(behind: float) -> str:
@@ -194,16 +188,18 @@ def _of_trace(
     simulated_answers = [other for other in answer if len(race.tight.rows(other))]
     alike = [other for other in simulated_answers if race.tight.alike(name, other) > _ALIKE]
     if alike:
-        return f"leaves the same trace as {_in_words(alike)}: not told apart by such recordings"
+        return f"leaves the same trace as {effects_text(alike)}: not told apart by such recordings"
     before = max(_promise(race.signatures, name), _promise(race.tight, name))
     after = _promise(beside, name)
-    remainder = f"what {_in_words(answer)} leaves" if answer else "what the refitted model leaves"
+    remainder = (
+        f"what {effects_text(answer)} leaves" if answer else "what the refitted model leaves"
+    )
     rows = beside.rows(name)
     if np.all(beside.towards[rows] <= 0):
         return f"its trace points the other way than {remainder}"
     if answer and before > _NOTHING and after < _NOTHING:
         return (
-            f"once {_in_words(answer)} is in the model nothing is left for it: "
+            f"once {effects_text(answer)} is in the model nothing is left for it: "
             f"{number(after, 2)} nats"
         )
     if after < _A_NAT:

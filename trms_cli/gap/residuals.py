@@ -305,8 +305,6 @@ def smoothed_forces(refit: FittedModel, entry: FittedModel) -> dict[str, ForceRe
     recorded_time = np.concatenate([d.time for d in structure.problem.datasets])
     sample = windows.first[:, None] + np.arange(inside.shape[1])
     time = recorded_time[np.minimum(sample, len(recorded_time) - 1)]
-    starts = np.cumsum([0, *(len(d) for d in structure.problem.datasets)])
-    recording = np.searchsorted(starts, windows.first, side="right") - 1
     motion = _motion(model, states, windows.commands, windows.sample_time)
     records = {}
     for i, channel in enumerate(discrepancy.channels):
@@ -316,7 +314,7 @@ def smoothed_forces(refit: FittedModel, entry: FittedModel) -> dict[str, ForceRe
             location=channel.location,
             unit=channel.unit,
             time=time[inside],
-            recording=np.broadcast_to(recording[:, None], inside.shape)[inside],
+            recording=np.broadcast_to(windows.recording[:, None], inside.shape)[inside],
             force=x[..., n + i][inside],
             sd=np.sqrt(variance[..., n + i][inside]),
             parts=parts_of(model),

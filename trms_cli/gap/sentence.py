@@ -1,12 +1,12 @@
 """What a colleague would say of a diagnosis, in a sentence or two."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from trms_cli.core.wording import gap_share, listing, number, quantity, readable, signal, small_unit
 from trms_cli.gap.diagnosis import Cause, LocationShare, MovedParameter
 from trms_cli.gap.posterior import Posterior
 from trms_cli.gap.shrinkage import Shrinkage
-from trms_cli.gap.wording import ELSEWHERE, probability_text, sizes
+from trms_cli.gap.wording import ELSEWHERE, effects_text, probability_text, sizes
 
 #: Probability from which a cause that is not told apart is worth its name.
 LEAST_ALIKE = 0.01
@@ -61,43 +61,37 @@ def sentence(
         )
     if posterior.verdict == "undecided":
         causes_text = ", ".join(
-            f"{_effects(c.effects)} ({probability_text(c.probability)})"
+            f"{effects_text(c.effects)} ({probability_text(c.probability)})"
             for c in causes[:3]
             if c.probability > 0.05
         )
         size = ", or how large it is" if top.open_sizes else ""
         text = f"These recordings do not decide what causes the gap{size}: {causes_text}."
-        return text + _open(top)
+        if top.open_sizes:  # searches from several points disagree about them
+            several = f"several sizes fit equally well: {sizes(top.open_sizes)}."
+            text += f" Of {effects_text(top.effects)} {several}"
+        return text
     sizes_text = sizes(dict(list(top.parameters.items())[:3]))
     causes_it = "causes it" if len(top.effects) == 1 else "cause it"
     text = (
-        f"The gap lies in {place}, and {_effects(top.effects)} {causes_it}, with probability "
+        f"The gap lies in {place}, and {effects_text(top.effects)} {causes_it}, with probability "
         f"{probability_text(top.probability)}" + (f" ({sizes_text})" if sizes_text else "")
     )
     if not top.parameters:  # from outside: it can be allowed for, and nothing can be added
         return text + "; it is estimated, not explained: the corrected model is the refitted one."
     shrink = shrinkage.shrink.get("all", {}).get(shrinkage.told_at)
     if shrink is not None and shrink.fraction is not None:
+        of = f"of the gap at {_seconds(shrinkage)}"
+        closes = f"nothing {of}"
         if shrink.fraction > 0:
-            of = f"of the gap at {_seconds(shrinkage)}"
-            share_text = gap_share(shrink.fraction, shrink.ci95, of, ELSEWHERE)
-            text += f"; on data kept aside, adding it closes {share_text}"
-        else:
-            at = _seconds(shrinkage)
-            text += f"; on data kept aside, adding it closes nothing of the gap at {at}"
+            closes = gap_share(shrink.fraction, shrink.ci95, of, ELSEWHERE)
+        text += f"; on data kept aside, adding it closes {closes}"
     likely = {n for cause in causes if cause.probability >= LEAST_ALIKE for n in cause.effects}
     alike = {name for group in posterior.confusable for name in group}
     others = sorted((alike & likely) - set(top.effects))
     if others:
-        text += f". These recordings do not tell it from {_effects(others, 'or')}"
+        text += f". These recordings do not tell it from {effects_text(others, 'or')}"
     return text + "." + _still_missing(shrinkage)
-
-
-def _open(top: Cause) -> str:
-    """Sizes of the likeliest cause about which searches from several points disagree."""
-    if not top.open_sizes:
-        return ""
-    return f" Of {_effects(top.effects)} several sizes fit equally well: {sizes(top.open_sizes)}."
 
 
 def _remaining_error(shrinkage: Shrinkage) -> str:
@@ -167,7 +161,3 @@ def _farthest(shrinkage: Shrinkage, model: str, at: str = "") -> tuple[str, floa
     }
     worst = max(ratios, key=lambda channel: ratios[channel], default="")
     return worst, ratios.get(worst, 0.0)
-
-
-def _effects(names: Iterable[str], word: str = "and") -> str:
-    return listing([readable(name) for name in names], word)

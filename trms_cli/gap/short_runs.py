@@ -22,7 +22,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from trms_cli.core.arrays import BoolArray, FloatArray
+from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import FitProblem
@@ -94,11 +94,8 @@ class ShortRuns:
         step, count = windows.sample_time, windows.inside.shape[1]
         whole = windows.count == count
         #: (m,) array; of each window: its recording, and its beginning in s from that one's
-        self.recording = np.concatenate(
-            [np.full(len(d.windows(length)[0]), i) for i, d in enumerate(datasets)]
-        )
-        begins = np.concatenate([d.windows(length)[0] for d in datasets])
-        self.begin: FloatArray = begins * step
+        self.recording: IntArray = windows.recording
+        self.begin: FloatArray = windows.first_in_recording.astype(float) * step
         self.length, self._whole = count * step, whole
         self._t: FloatArray = step * np.arange(count, dtype=float)
         self._weights = np.array([_weights(self._t, e.order) for e in self.equations])

@@ -286,15 +286,11 @@ def _in_turn(
     if length >= (_FEW_BLOCKS + 1) * parts.block:
         return None
     windows = refit.structure.windows
-    ends = np.cumsum([len(dataset) for dataset in windows.datasets])
     block_errors: list[list[tuple[str, float, HorizonErrors]]] = [[], []]
     acts = begins_at(corrected) or 0  # before, the corrected model is not the rig's
-    for j, (first, count) in enumerate(zip(windows.first, windows.count, strict=True)):
-        if j < acts:
-            continue
-        number = int(np.searchsorted(ends, first, side="right"))
-        begin = int(first - (ends[number] - len(windows.datasets[number])))
-        span = (number, begin, begin + int(count))
+    for j in range(acts, len(windows)):
+        begin = int(windows.first_in_recording[j])
+        span = (int(windows.recording[j]), begin, begin + int(windows.count[j]))
         for fitted, own_errors in zip((refit, corrected), block_errors, strict=True):
             own = fitted.structure.windows.rollout
             errors = free_run_errors(

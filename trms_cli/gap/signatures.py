@@ -107,16 +107,15 @@ class Signatures:
         Traces are not proportional to sizes (a dead zone, a friction that holds): the smallest
         tried size that is visible is scaled down by what it exceeds the threshold.
         """
-        trace_lengths = []
+        visible = []
         for row in self.rows(name):
             size, length = abs(self.sizes[row][0]), np.sqrt(max(self.projected_energy[row], 0.0))
-            if size > 0 and length > 0:
-                trace_lengths.append((size, length))
-        visible = [(size, length) for size, length in trace_lengths if length >= VISIBLE]
-        if visible:
-            size, length = min(visible)
-            return float(size * VISIBLE / length)
-        return None
+            if size > 0 and length >= VISIBLE:
+                visible.append((size, length))
+        if not visible:
+            return None
+        size, length = min(visible)
+        return float(size * VISIBLE / length)
 
     def alike(self, one: str, other: str) -> float:
         """Largest cosine between traces of two effects, at the sizes that they share best."""
@@ -156,8 +155,7 @@ def effect_traces(
         structure = nominal.structure.with_effects(candidate)
         for row in candidate.variants:
             own = {f.name: v for f, v in zip(candidate.free, row, strict=True)}
-            vector = structure.theta({**theta, **own})
-            starts = structure.starts(vector, nominal.fit.starts)
+            vector, starts = structure.point({**theta, **own}, nominal.fit.starts)
             with np.errstate(all="ignore"):
                 r = structure.windows.residuals(structure.problem.all_values(vector), starts).r
             if np.isfinite(r).all():
@@ -175,7 +173,7 @@ def project_traces(fitted: FittedModel, traces: EffectTraces) -> Signatures:
     point, objective = fitted.fit.point, fitted.objective
     n_f, count = len(point), len(traces.names)
     total, raw = np.zeros((n_f + count + 1, n_f + count + 1)), np.zeros(count)
-    for products, energies in _products(fitted, traces):
+    for products, energies in window_products(fitted, traces):
         total += products.sum(axis=0)
         raw += energies.sum(axis=0)
     root = objective.precisions * objective.scales
@@ -204,17 +202,14 @@ def projected_gain(projected_energy: FloatArray, towards: FloatArray) -> FloatAr
     return np.asarray(np.maximum(by * towards - 0.5 * by**2 * projected_energy, 0.0))
 
 
-def window_products(fitted: FittedModel, traces: EffectTraces) -> Iterator[FloatArray]:
+def window_products(
+    fitted: FittedModel, traces: EffectTraces
+) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Inner products, of some windows at a time, freed of what the windows' starts can do.
 
     (m, q, q) arrays: of the whitened slopes in all that is fitted, scaled, the traces, and the
-    residual; q is the number of all these.
+    residual; q is the number of all these. With them the squared length of each trace, (m, k).
     """
-    return (products for products, _ in _products(fitted, traces))
-
-
-def _products(fitted: FittedModel, traces: EffectTraces) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """The same, with the squared length of each trace, (m, k) array."""
     fit, objective, windows = fitted.fit, fitted.objective, fitted.structure.windows
     residuals = objective.simulated(fit.point, fit.starts, slopes=True)
     base, slopes = residuals.r, objective.slopes(residuals)

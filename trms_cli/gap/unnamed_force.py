@@ -61,8 +61,8 @@ def with_random_torque(evidence: ChangeEvidence, score: DifferenceScore) -> Diff
     ]
     varying = float(logsumexp(logs) - np.log(len(logs)))
     half = np.log(0.5)
-    mixture = replace(score, always=float(np.logaddexp(score.always, varying) + half))
-    mixture = replace(mixture, begins=score.begins + half)
+    always = float(np.logaddexp(score.always, varying) + half)
+    mixture = replace(score, always=always, begins=score.begins + half)
     if varying <= score.evidence:
         return mixture
     weights = np.exp(np.array(logs) - max(logs))

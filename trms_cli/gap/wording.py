@@ -1,6 +1,6 @@
 """Causes, places and sizes of a diagnosis in words."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from trms_cli.core import wording
 from trms_cli.gap.diagnosis import LawDeparture, SizeEstimate
@@ -25,8 +25,14 @@ def cause_name(effects: Sequence[str]) -> str:
     }
     if tuple(effects) in plain:
         return plain[tuple(effects)]
-    first, *others = [wording.readable(name) for name in effects]
-    return f"{first} with {wording.listing(others)}" if others else first
+    first, *others = effects
+    text = wording.readable(first)
+    return f"{text} with {effects_text(others)}" if others else text
+
+
+def effects_text(names: Iterable[str], word: str = "and") -> str:
+    """Several effects, or places, as prose lists them."""
+    return wording.listing([wording.readable(name) for name in names], word)
 
 
 def probability_text(probability: float) -> str:

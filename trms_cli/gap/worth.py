@@ -179,7 +179,10 @@ def loops_of(
             for seed in range(experiment.seed, experiment.seed + _TIMES):
                 noisy = replace(experiment, seed=seed)
                 old, noise = _errors(replace(noisy, model=before), reference, until)
-                new = _errors_or_none(noisy, reference, until) or dict.fromkeys(names, np.inf)
+                try:
+                    new, _ = _errors(noisy, reference, until)
+                except _REFUSALS:  # it cannot be closed
+                    new = dict.fromkeys(names, np.inf)
                 pairs.append((old, new))
                 growths = [new[n] / old[n] - 1 for n in names if np.isfinite(old.get(n, np.nan))]
                 if not any(_LOOKS_WORSE < growth < np.inf for growth in growths):
@@ -219,16 +222,6 @@ def _gain(controller: str, reference: str, errors: FloatArray, noise: float) -> 
     )
 
 
-def _errors_or_none(
-    experiment: Experiment, reference: str, until: float
-) -> dict[str, float] | None:
-    """Errors of a loop; None for one that cannot be closed."""
-    try:
-        return _errors(experiment, reference, until)[0]
-    except _REFUSALS:
-        return None
-
-
 def warning_of(loops: Sequence[LoopGain], of: str = "rad") -> str:
     """Where the correction makes a loop worse, and what to use there; empty if nowhere.
 
@@ -265,7 +258,11 @@ def tracking(
     Both by angle. Raises _TooSlow beyond ``until``, of the process' time.
     """
     differences, _, noise = _differences(experiment, until)
-    return {name: _rms(values) for name, values in differences.items()}, noise
+    errors = {
+        name: float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+        for name, values in differences.items()
+    }
+    return errors, noise
 
 
 def _errors(experiment: Experiment, name: str, until: float) -> tuple[dict[str, float], float]:
@@ -346,7 +343,3 @@ def gain_in_words(
     elif not is_better:
         text += "; the controller and its observer make up for what the model lacks"
     return f"{text}."
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

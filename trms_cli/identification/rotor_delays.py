@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trms_cli.core.arrays import hold_last
 from trms_cli.core.errors import RecordingError
-from trms_cli.recordings.recording import Recording, hold_last, on_grid
+from trms_cli.recordings.recording import Recording, on_grid
 
 #: s, the range of delays that is looked at.
 _EARLIEST, _LATEST = -0.1, 0.4

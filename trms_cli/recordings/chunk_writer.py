@@ -60,11 +60,6 @@ class ChunkWriter:
         stream.write(MCAP0_MAGIC)
         self._put(records.Header(profile="", library=library))
 
-    @property
-    def message_count(self) -> int:
-        """Messages written so far."""
-        return sum(self._counts.values())
-
     def add_channel(self, topic: str, schema_name: str, json_schema: bytes) -> int:
         """Add a channel of JSON messages with its schema; return the channel's id."""
         number = len(self._channels) + 1
@@ -234,7 +229,7 @@ class ChunkWriter:
             channel_count=len(self._channels),
             channel_message_counts={i: n for i, n in self._counts.items() if n},
             chunk_count=len(self._chunk_indexes),
-            message_count=self.message_count,
+            message_count=sum(self._counts.values()),
             metadata_count=len(self._metadata_indexes),
             message_start_time=self._start or 0,
             message_end_time=self._end,

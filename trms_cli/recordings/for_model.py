@@ -12,14 +12,14 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from trms_cli.core.arrays import FloatArray
+from trms_cli.core.arrays import FloatArray, hold_last, stretches
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.model import Model, Signal, names
 from trms_cli.recordings.channels import STANDARD, Vocabulary, reference_of
 from trms_cli.recordings.mcap_recording import sha256_of
 from trms_cli.recordings.preparation import Preparation
 from trms_cli.recordings.read import read_recording
-from trms_cli.recordings.recording import GriddedRecording, Recording, hold_last, on_grid
+from trms_cli.recordings.recording import GriddedRecording, Recording, on_grid
 
 #: A channel with more runs of missing samples than this gets one event instead of one each.
 _MOST_EVENTS = 20
@@ -262,22 +262,23 @@ def _happenings(
     """Gaps and missing samples in order of time."""
     happenings: list[RecordingEvent] = []
 
-    def add(index: int, count: int, kind: str, source: str, words: str) -> None:
+    def add(begin: int, end: int, kind: str, source: str, words: str) -> None:
+        count = end - begin
         message = f"{count} samples {words} (value in s)"
         duration = count * gridded.sample_time
-        happenings.append(RecordingEvent(index, kind, source, message, duration))
+        happenings.append(RecordingEvent(begin, kind, source, message, duration))
 
-    for index, count in gridded.gaps:
+    for begin, end in stretches(~gridded.present):
         words = "are missing, the commands of the last one held"
-        add(index, count, "gap", "recording", words)
+        add(begin, end, "gap", "recording", words)
     for name in (*channels, *inputs):
         meaning = ", the last one held" if name in inputs else ""
-        missing = gridded.runs_without(gridded.channels[name])
-        total = sum(count for _, count in missing)
+        missing = stretches(np.isnan(gridded.channels[name]) & gridded.present)
         if len(missing) > _MOST_EVENTS:
-            missing = [(missing[0][0], total)]
-        for index, count in missing:
-            add(index, count, "missing", name, f"of {name} are missing{meaning}")
+            first = missing[0][0]
+            missing = [(first, first + sum(end - begin for begin, end in missing))]
+        for begin, end in missing:
+            add(begin, end, "missing", name, f"of {name} are missing{meaning}")
     return sorted(happenings)
 
 

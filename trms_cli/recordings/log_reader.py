@@ -449,9 +449,7 @@ Wanted = Callable[[str, str], bool]
 class LogPiece:
     """What one look has found."""
 
-    tables: dict[
-        str, TopicTable
-    ]  #: New messages by topic; topics without new ones are data_file.absent
+    tables: dict[str, TopicTable]  #: New messages by topic; topics without new ones are absent
     #: For each chunk its latest log time and publish time [ns]: how far the run was by when
     progress: tuple[tuple[int, int], ...] = ()
 

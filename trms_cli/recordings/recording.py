@@ -237,15 +237,6 @@ class GriddedRecording:
     def __len__(self) -> int:
         return len(self.time)
 
-    def runs_without(self, values: np.ndarray) -> list[tuple[int, int]]:
-        """First index and length of every run of missing values within the rows."""
-        return runs(np.isnan(values) & self.present)
-
-    @property
-    def gaps(self) -> list[tuple[int, int]]:
-        """First index and length of every run of points without a row."""
-        return runs(~self.present)
-
 
 def on_grid(recording: Recording, tolerance: float) -> GriddedRecording:
     """Put a recording on the grid of its median step.
@@ -298,15 +289,3 @@ def on_grid(recording: Recording, tolerance: float) -> GriddedRecording:
     return GriddedRecording(
         recording, step, time, channels, present, float(np.max(off, initial=0.0))
     )
-
-
-def hold_last(values: np.ndarray) -> np.ndarray:
-    """Values with the last one held where one is missing; the first stays where it is."""
-    latest = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
-    return values[latest]
-
-
-def runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """First index and length of every run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return [(int(a), int(b - a)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -19,7 +19,7 @@ from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import msgspec
 import numpy as np
@@ -115,7 +115,7 @@ class RunLog:
         self.path = Path(path)
         self.safe_until_s: float | None = None  # run time up to which the file holds all
         self._wall_clock = publish_time == "wall"
-        self._rows: list[tuple[_AnyChannel, int, int, tuple[Any, ...]]] = []
+        self._rows: list[tuple[_Channel, int, int, tuple[Any, ...]]] = []
         self._last_time_ns = 0
         self._run = {
             "schema": RUN_SCHEMA,
@@ -146,9 +146,7 @@ class RunLog:
         """Return :meth:`write` for one topic: what a loop calls several times a step."""
         return partial(self._append, self._channel(topic))
 
-    def _append(
-        self, channel: _AnyChannel, time_ns: int, values: Sequence[Any] | np.ndarray
-    ) -> None:
+    def _append(self, channel: _Channel, time_ns: int, values: Sequence[Any] | np.ndarray) -> None:
         if channel.has_arrays:
             values = [v.tolist() if isinstance(v, np.ndarray) else v for v in values]
         elif type(values) is np.ndarray:
@@ -159,7 +157,7 @@ class RunLog:
         if len(rows) >= _MAX_BUFFERED_ROWS:
             self.flush()
 
-    def _channel(self, topic: str) -> _AnyChannel:
+    def _channel(self, topic: str) -> _Channel:
         try:
             return self._channels[topic]
         except KeyError:
@@ -236,12 +234,13 @@ class RunLog:
             remedy = "" if error.errno in NO_ROOM else "give a folder of your own: out=FOLDER"
             raise explain_os_error(error, self.path, remedy) from error
 
-    def _register(self, topic: Topic | EncodedTopic) -> _AnyChannel:
-        if isinstance(topic, EncodedTopic):
+    def _register(self, topic: Topic | EncodedTopic) -> _Channel:
+        if isinstance(topic, EncodedTopic):  # its messages are JSON already
             number = self._writer.add_channel(topic.name, topic.schema_name, topic.schema)
-            return _EncodedChannel(number)
+            return _Channel(number, False, itemgetter(0))
         schema = json.dumps(topic.json_schema(), ensure_ascii=False).encode()
-        return _Channel(topic, self._writer.add_channel(topic.name, topic.schema_name, schema))
+        number = self._writer.add_channel(topic.name, topic.schema_name, schema)
+        return _Channel(number, any(f.kind == "array" for f in topic.fields), _encoder(topic))
 
     def _flush_stream(self) -> None:
         """Hand on what is written; after a failure close, and say what is safe."""
@@ -263,52 +262,33 @@ class RunLog:
         return explained
 
 
-class _Channel:
-    """A topic's MCAP channel and its messages' encoder."""
+class _Channel(NamedTuple):
+    """A topic's MCAP channel, and what makes a message's JSON of its values."""
 
-    __slots__ = ("_message", "_topic", "has_arrays", "id")
+    id: int
+    has_arrays: bool
+    encode: Callable[[tuple[Any, ...]], bytes]
 
-    def __init__(self, topic: Topic, channel_id: int) -> None:
-        self.id = channel_id
-        self.has_arrays = any(field.kind == "array" for field in topic.fields)
-        self._topic = topic
-        # A struct encodes in a third of the time of a dict. Its attributes are numbered,
-        # because a field may have any name.
-        names = {f"f{index}": name for index, name in enumerate(topic.field_names)}
-        self._message = msgspec.defstruct(
-            "Message", [(key, Any) for key in names], rename=names, gc=False
-        )
 
-    def encode(self, values: tuple[Any, ...]) -> bytes:
-        """Return the JSON message; numbers that are not finite become null."""
+def _encoder(topic: Topic) -> Callable[[tuple[Any, ...]], bytes]:
+    """Makes JSON of a topic's values; numbers that are not finite become null."""
+    # A struct encodes in a third of the time of a dict. Its attributes are numbered, because a
+    # field may have any name.
+    names = {f"f{index}": name for index, name in enumerate(topic.field_names)}
+    message = msgspec.defstruct("Message", [(key, Any) for key in names], rename=names, gc=False)
+
+    def encode(values: tuple[Any, ...]) -> bytes:
         try:
-            return _encode(self._message(*values))
+            return _encode(message(*values))
         except TypeError:
-            names = self._topic.field_names
             if len(values) == len(names):
                 raise
             raise ValueError(
-                f"{self._topic.name} takes {len(names)} values ({', '.join(names)}), "
+                f"{topic.name} takes {len(names)} values ({', '.join(topic.field_names)}), "
                 f"got {len(values)}: {values!r}"
             ) from None
 
-
-class _EncodedChannel:
-    """A topic's MCAP channel whose messages are JSON already."""
-
-    __slots__ = ("id",)
-    has_arrays = False
-
-    def __init__(self, channel_id: int) -> None:
-        self.id = channel_id
-
-    def encode(self, values: tuple[Any, ...]) -> bytes:
-        """Return the message."""
-        message: bytes = values[0]
-        return message
-
-
-_AnyChannel = _Channel | _EncodedChannel
+    return encode
 
 
 def _plain(value: Any) -> Any:

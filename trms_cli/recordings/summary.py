@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trms_cli.recordings.recording import Recording, quantum, runs
+from trms_cli.core.arrays import stretches
+from trms_cli.recordings.recording import Recording, quantum
 
 #: Half width of the running median, samples; more than half of it wrong is no outlier.
 _HALF_WIDTH = 3
@@ -72,12 +73,10 @@ def outliers(values: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
 
 def _run_around(y: np.ndarray, k: int, candidates: set[int], limit: float) -> range | None:
     """The shortest run of candidates around one that stands apart from both sides."""
-    for count in range(1, _HALF_WIDTH + 1):
-        for first in range(k - count + 1, k + 1):
-            run = range(first, first + count)
-            if candidates.issuperset(run) and _stands_apart(y, run, limit):
-                return run
-    return None
+    lengths = range(1, _HALF_WIDTH + 1)
+    runs = (range(first, first + n) for n in lengths for first in range(k - n + 1, k + 1))
+    apart = (run for run in runs if candidates.issuperset(run) and _stands_apart(y, run, limit))
+    return next(apart, None)
 
 
 def _off_cubic(y: np.ndarray, run: range) -> float:
@@ -236,7 +235,7 @@ def _extreme_share(values: np.ndarray) -> float | None:
     elsewhere = ~at_limit[1:]
     if np.any(elsewhere) and np.mean(np.diff(there)[elsewhere] == 0) > _HELD_SHARE:
         return None
-    return sum(count for _, count in runs(at_limit) if count > 1) / len(there)
+    return sum(end - begin for begin, end in stretches(at_limit) if end - begin > 1) / len(there)
 
 
 def _motion(values: np.ndarray, step: float, angle: bool) -> tuple[float | None, int]:

@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from trms_cli.core import chart as charts
 from trms_cli.core import wording
+from trms_cli.core.arrays import stretches
 from trms_cli.core.findings import json_data, round_significant
 
 FloatArray = npt.NDArray[np.float64]
@@ -702,10 +703,9 @@ def _outline(
     count = min(len(time), len(low), len(high))
     size = max(1, math.ceil(count / _MOST_OF_A_BAND))
     inside = np.isfinite(low[:count]) & np.isfinite(high[:count])
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
     there: list[FloatArray] = []
     bottoms, tops = [], []
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+    for begin, end in stretches(inside):
         cuts = np.arange(begin, end, size)
         at = np.append(time[cuts], time[end - 1])
         bottom = np.minimum.reduceat(low[:end], cuts)

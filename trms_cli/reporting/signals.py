@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from trms_cli.core.arrays import stretches
 from trms_cli.scoring.metrics import Columns
 
 FloatArray = npt.NDArray[np.float64]
@@ -189,9 +190,7 @@ class RunSignals:
     def mode(self, mode: str) -> Iterator[tuple[float, float]]:
         """Times (s) of the control samples in a mode: ``degraded``, ``landing``."""
         time, modes = self.time("/controller"), self.column("/controller", "mode")
-        inside = np.concatenate([[False], np.asarray(modes, dtype=object) == mode, [False]])
-        edges = np.flatnonzero(np.diff(inside.astype(int)))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        for begin, end in stretches(np.asarray(modes, dtype=object) == mode):
             yield float(time[begin]), float(time[min(end, len(time) - 1)])
 
     def step_times(self) -> FloatArray | None:

@@ -127,18 +127,14 @@ def effects_of(model: Model) -> tuple[tuple[str, Effect], ...]:
     return (*effects_of(model.base), (model.effect_name, model.effect))
 
 
-def _overrides(effect: Effect, methods: tuple[str, ...]) -> bool:
-    return any(getattr(type(effect), name) is not getattr(Effect, name) for name in methods)
-
-
 def _overriding(model: Model, methods: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(name for name, effect in effects_of(model) if _overrides(effect, methods))
+    return tuple(name for name, effect in effects_of(model) if effect.overrides(*methods))
 
 
 def _without_paths(model: Model) -> Model:
     """The model without the effects that act on commands and sensors only."""
     effects = effects_of(model)
-    inner_effects = {name: e for name, e in effects if _overrides(e, (*_INSIDE, *_IMPULSES))}
+    inner_effects = {name: e for name, e in effects if e.overrides(*_INSIDE, *_IMPULSES)}
     if len(inner_effects) == len(effects):
         return model
     moving = extend_model(model.without_effects(), inner_effects)

@@ -124,9 +124,7 @@ def _limits(
     text: str, about: str, values: FloatArray, quantiles: tuple[float, ...]
 ) -> Iterator[Condition]:
     """Values above, or with a ``<`` in the text below, rounded quantiles of themselves."""
-    for at in (
-        nearest_round_number(float(quantile)) for quantile in np.quantile(values, quantiles)
-    ):
+    for at in map(nearest_round_number, np.quantile(values, quantiles).tolist()):
         holds = values < at if "<" in text else values > at
         yield Condition(text=text.format(f"{at:g}"), about=about, holds=holds)
 
@@ -237,11 +235,7 @@ def _divergence(share: FloatArray, time: FloatArray) -> FloatArray:
 def _significant(record: ForceRecord, energy: FloatArray, surplus: FloatArray) -> BoolArray:
     """Which rows of ``surplus`` (condition less its share of time) gather energy beyond chance."""
     # Of the signed force: the energy of one that acts in half of the recording remembers for ever.
-    memory = record.correlation_time(record.force)
-    duration = record.time.size * record.sample_time
-    length = min(max(1.0, _BLOCK * memory), duration / _FEWEST_BLOCKS)
-    number = record.blocks(length)
-    first = np.flatnonzero(np.diff(number, prepend=-1))
+    _, first = _blocks_of(record, _BLOCK, _FEWEST_BLOCKS)
     sums = np.add.reduceat(surplus * energy, first, axis=1)
     scale = np.sqrt(np.sum(sums**2, axis=1)) + 1e-300
     sums = sums / scale[:, None]
@@ -423,11 +417,16 @@ def _closest_form(record: ForceRecord) -> str:
     return f"The closest known form is {form}: {shares[best]:.0%} of its variance."
 
 
-def _blocks_of(record: ForceRecord) -> tuple[IntArray, IntArray]:
-    """Block of each sample, and the first sample of each block; blocks forget each other."""
+def _blocks_of(
+    record: ForceRecord, memories: float = 2.0, fewest: int = 12
+) -> tuple[IntArray, IntArray]:
+    """Block of each sample, and the first sample of each block; blocks forget each other.
+
+    ``memories``: of the force, that one is long at least. ``fewest``: blocks.
+    """
     memory = record.correlation_time(record.force)
     duration = record.time.size * record.sample_time
-    number = record.blocks(min(max(1.0, 2 * memory), duration / 12))
+    number = record.blocks(min(max(1.0, memories * memory), duration / fewest))
     return number, np.flatnonzero(np.diff(number, prepend=-1)).astype(np.int64)
 
 

@@ -59,7 +59,7 @@ def held_out_errors(
     scores = phi @ directions
     inner = scores.T @ y
     best = np.empty((0, 0))
-    for penalty in penalties:
+    for k, penalty in enumerate(penalties):
         weight = 1.0 / (np.maximum(power, 0.0) + penalty * block.size)
         residual = y - scores @ (weight[:, None] * inner)
         errors = np.empty((len(edges) - 1, y.shape[1]))
@@ -67,10 +67,7 @@ def held_out_errors(
             rows = scores[first:end]
             own = np.eye(end - first) - (rows * weight) @ rows.T
             errors[b] = np.sum(np.linalg.solve(own, residual[first:end]) ** 2, axis=0)
-        if best.size:
-            best = np.where(errors.sum(axis=0) < best.sum(axis=0), errors, best)
-        else:
-            best = errors
+        best = np.where(errors.sum(axis=0) < best.sum(axis=0), errors, best) if k else errors
     return best
 
 

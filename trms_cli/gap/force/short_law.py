@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from trms_cli.core.arrays import FloatArray, IntArray
+from trms_cli.core.arrays import FloatArray
 from trms_cli.core.wording import number, percent
 from trms_cli.gap.force.exogenous import held_out_errors
 from trms_cli.gap.force.laws import ForceRecord
@@ -64,9 +64,9 @@ def short_law_of(record: ForceRecord) -> tuple[str, ...]:
         best, share = None, shares[-1] if shares else 0.0
         goal = share + least
         for term in candidates:
-            explained_share = 1 - _residual_share(
-                record, block, [beside, *(t.columns for t in (*selection, term))]
-            )
+            columns = np.hstack([beside, *(t.columns for t in (*selection, term))])
+            errors = held_out_errors(columns, record.force[:, None], block, penalties=(_PENALTY,))
+            explained_share = 1 - float(errors.sum()) / energy
             if explained_share > max(goal, share):
                 best, share = term, explained_share
         if best is None:
@@ -95,13 +95,6 @@ def _whats_missing(record: ForceRecord) -> str:
     return (
         f"of the missing {part} {force}" if kind == "moment" else f"of what the {part} motor lacks"
     )
-
-
-def _residual_share(record: ForceRecord, block: IntArray, columns: list[FloatArray]) -> float:
-    """Share of the force's energy that a regression leaves on blocks that it has not seen."""
-    target = record.force[:, None]
-    errors = held_out_errors(np.hstack(columns), target, block, penalties=(_PENALTY,))
-    return float(errors.sum()) / float(record.force @ record.force)
 
 
 def _sizes(record: ForceRecord, columns: list[FloatArray]) -> list[FloatArray]:

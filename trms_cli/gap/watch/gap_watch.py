@@ -120,8 +120,10 @@ class WatchingGap:
             self._commands[:], self._count = 0.0, 0
         measurement = measurement - self._offsets
         self._take(command, measurement)
-        if self._first:
-            self._learn_quanta(measurement)
+        if self._first:  # the least that a reading ever changes by is the step of its sensor
+            moves = np.abs(measurement - self._last)
+            np.fmin(self._quanta, np.where(moves > 0.0, moves, np.inf), out=self._quanta)
+            self._last = measurement.copy()
         self._samples += 1
         if self._rests_at_a_stop(measurement):
             return ()
@@ -170,12 +172,6 @@ class WatchingGap:
                 spikes[j] += 1
             elif spikes[j] and self._is_quiet(j):
                 spikes[j] = 0
-
-    def _learn_quanta(self, measurement: FloatArray) -> None:
-        """The least that each reading ever changes by is the step of its sensor."""
-        moves = np.abs(measurement - self._last)
-        np.fmin(self._quanta, np.where(moves > 0.0, moves, np.inf), out=self._quanta)
-        self._last = measurement.copy()
 
     def _is_quiet(self, j: int) -> bool:
         """Whether a channel that was believed in spite of its spikes has come back to normal."""

@@ -102,7 +102,6 @@ class Predictor:
         parameters = list(model.parameters)
         free = tuple(i for i, each in enumerate(parameters) if each.prior_sd and each.value)
         self.free: IntArray = np.array(free, dtype=np.int64)
-        self.free_names = tuple(parameters[i].name for i in free)
         spreads = [abs(parameters[i].value) * (parameters[i].prior_sd or 0.0) for i in free]
         self._spread = np.array(spreads, dtype=float)
         own = call_memoised(_functions, model, setup.sample_time, tuple(channels), free)

@@ -325,6 +325,9 @@ class Windows:
         lengths = np.cumsum([0, *(len(d) for d in self.datasets)])
         self.first = np.concatenate([f + o for f, o in zip(firsts, lengths, strict=False)])
         self.count = np.concatenate(counts)
+        #: (m,) arrays; of each window: number of its recording, and its first sample in that
+        self.recording: IntArray = np.repeat(np.arange(len(firsts)), [len(f) for f in firsts])
+        self.first_in_recording: IntArray = np.concatenate(firsts)
         #: (m,) array of bool; whether a window begins where the one before it ends
         self.follows = np.concatenate(
             [[False], self.first[1:] == self.first[:-1] + self.count[:-1]]

@@ -97,12 +97,10 @@ class PoseMemory:
             row = rows.get(topic)
             if row is None:
                 continue
-            before = poses.get(prefix)
             turned = 0.0 if yaw is None else row[yaw]
             raised = 0.0 if pitch is None else row[pitch]
             if not (turned - turned == 0.0 and raised - raised == 0.0):  # not finite
-                if before is None:
-                    before = (0.0, 0.0)
+                before = poses.get(prefix, (0.0, 0.0))
                 turned = turned if math.isfinite(turned) else before[0]
                 raised = raised if math.isfinite(raised) else before[1]
             poses[prefix] = (turned, raised)
@@ -136,11 +134,9 @@ class SceneLog:
         self._watched = {topic for topic, *_ in sources.attitudes.values()} | {_COMMANDS}
         self._memory = PoseMemory(sources)
         self._rows: dict[str, Row] = {}
-        self._transforms, self._bodies = (
-            log.writer(foxglove.TRANSFORMS),
-            log.writer(foxglove.BODIES),
+        self._transforms, self._bodies, self._arrows, self._lines = map(
+            log.writer, foxglove.SCENE_TOPICS
         )
-        self._arrows, self._lines = log.writer(foxglove.ARROWS), log.writer(foxglove.LOG_LINES)
         self._empty = True
 
     def writer(self, topic: str) -> Callable[[int, Row], None]:

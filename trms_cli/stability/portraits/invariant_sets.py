@@ -28,7 +28,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray
+from trms_cli.core.arrays import BoolArray, ComplexArray, FloatArray, stretches
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.wording import symbol
 from trms_cli.models.operating_point import refine_operating_point
@@ -309,11 +309,7 @@ def _held_on(
     c = section.coordinates.values(_placed(line, values), section.point.u)
     item = line.coordinates.items[1]
     what = symbol(line.coordinates.model.states[item.state].name)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], stuck, [False]]).astype(int)))
-    return [
-        StickingSet(what, c[first:end], along)
-        for first, end in zip(edges[::2], edges[1::2], strict=True)
-    ]
+    return [StickingSet(what, c[first:end], along) for first, end in stretches(stuck)]
 
 
 def _is_held(line: StateSection, values: FloatArray) -> BoolArray:
