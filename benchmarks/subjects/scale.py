@@ -25,6 +25,7 @@ _QUESTIONS: dict[str, tuple[str, ...]] = {
     "listed": ("runs", "--in", "{}", "--limit", "40"),
     "filtered": ("runs", "rmse_yaw < 0.2 and controller == 'lqr'", "--in", "{}", "--limit", "40"),
     "compared": ("compare", "{}"),
+    "compared, as a document": ("compare", "{}", "--json"),
     "status": ("sweep", "status", "{}"),
     "resumed": ("sweep", "resume", "{}"),
     "reported": ("report", "{}", "--force"),

@@ -370,9 +370,14 @@ def _table(table: Table) -> dict[str, Any]:
     }
 
 
+#: What is known of a plain value.
+_NOTHING_ELSE = Datum(None)
+
+
 def _cell(cell: Cell, is_numeric: bool, is_head: bool, is_sortable: bool) -> str:
-    datum = cell if isinstance(cell, Datum) else Datum(cell)
-    value, text = datum.value, wording.cell(datum.value, datum.sd)
+    datum = cell if isinstance(cell, Datum) else _NOTHING_ELSE
+    value = plain(cell)
+    text = wording.cell(value, datum.sd)
     if isinstance(value, bool):
         text = "yes" if value else "no"
     if is_sortable and len(text) > _LONGEST_CELL:
@@ -384,7 +389,7 @@ def _cell(cell: Cell, is_numeric: bool, is_head: bool, is_sortable: bool) -> str
         return f'<th scope="row">{content}</th>'
     is_number = is_numeric or (_is_number(value) and value is not None)
     short = "" if is_sortable or len(text) > _SHORT else "short"
-    names = [datum.judgement, "number" if is_number else short, "bar" * (datum.bar is not None)]
+    names = (datum.judgement, "number" if is_number else short, "bar" * (datum.bar is not None))
     looks = " ".join(filter(None, names))
     attributes = f' class="{looks}"' if looks else ""
     if datum.bar is not None:

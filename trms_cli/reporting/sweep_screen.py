@@ -37,7 +37,7 @@ def on_screen(drive: Callable[..., SweepOutcome], *, as_json: bool = False) -> S
     screen = SweepScreen()
     with screen:
         outcome = drive(tell=screen.tell, begun=screen.say_begun)
-    document = outcome_of(outcome.folder)
+    document = outcome_of(outcome.folder, outcome.points)
     draw_summary(outcome.folder, document["summary"])
     if as_json:
         print_json(document)

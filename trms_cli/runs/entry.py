@@ -194,12 +194,14 @@ def _sample_time_in(block: str) -> float | None:
 
 def typed_overrides(overrides: list[str]) -> dict[str, Any]:
     """What was typed, by its key; a sweep's own settings are none of the run's."""
-    values = {}
-    for word in overrides:
-        key, equals, value = word.lstrip("+").partition("=")
-        if equals and not key.startswith("hydra"):
-            values[key] = _parse(value)
-    return values
+    return dict(each for word in overrides if (each := _typed_override(word)))
+
+
+@lru_cache(maxsize=4096)
+def _typed_override(word: str) -> tuple[str, Any] | None:
+    """The same of one word, of which runs of a sweep share most."""
+    key, equals, value = word.lstrip("+").partition("=")
+    return (key, _parse(value)) if equals and not key.startswith("hydra") else None
 
 
 def _parse(text: str) -> Any:
@@ -259,13 +261,16 @@ STATUS_SCHEMA = "trms.status/1"
 _LONGEST = 2**24  # bytes
 
 
-def status_document(file: Path) -> dict[str, Any] | None:
+def status_document(file: Path | str) -> dict[str, Any] | None:
     """The content of a ``status.json``; None for a file of this name that is somebody else's.
 
     Raises OSError if the file cannot be read.
     """
-    with file.open("rb", buffering=0) as stream:
-        content = stream.read(min(os.fstat(stream.fileno()).st_size, _LONGEST)) or b""
+    descriptor = os.open(file, os.O_RDONLY | os.O_CLOEXEC)  # for a hundred thousand of them
+    try:
+        content = os.read(descriptor, min(os.fstat(descriptor).st_size, _LONGEST))
+    finally:
+        os.close(descriptor)
     try:
         try:
             document = msgspec.json.decode(content)  # in a fifth of the time

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from trms_cli.core.errors import RecordingError
 from trms_cli.runs.columns import COLUMNS, IndexColumn, Sql
@@ -53,8 +53,7 @@ _PATIENCE = 20.0  # s, for another process that is writing
 RUN, OTHER, UNREADABLE, UNSEEN = "run", "other", "unreadable", "unseen"
 
 
-@dataclass(frozen=True)
-class FileStamp:
+class FileStamp(NamedTuple):
     """What is known of a log's file."""
 
     #: ``mtime_ns``, ``size``: When it was looked at; another time or size means that it has
@@ -373,22 +372,22 @@ class RunIndex:
         )
         try:
             rows = self._connection.execute(statement, [*values, -1 if limit is None else limit])
-            truths = {
-                place
-                for place, (column, _) in enumerate(columns.values())
-                if column.kind == "truth"
-            }
+            kinds = [column.kind for column, _ in columns.values()]
+            truths = [place for place, kind in enumerate(kinds) if kind == "truth"]
+            words = [place for place, kind in enumerate(kinds) if kind in ("text", "any")]
             places = {name: place for place, name in enumerate(columns)}
-            texts: dict[str, str] = {}
+            texts: dict[Any, Any] = {}
             made: list[Any] = []
             for row in rows:
-                values = [
-                    bool(value) if place in truths and value is not None else value
-                    for place, value in enumerate(row)
-                ]
+                values = list(row)
+                for place in truths:
+                    if values[place] is not None:
+                        values[place] = bool(values[place])
                 if compact:
-                    kept = [texts.setdefault(v, v) if isinstance(v, str) else v for v in values]
-                    made.append(Row(places, tuple(kept)))
+                    for place in words:
+                        if isinstance(value := values[place], str):
+                            values[place] = texts.setdefault(value, value)
+                    made.append(Row(places, tuple(values)))
                 else:
                     made.append(dict(zip(columns, values, strict=True)))
             return made

@@ -115,6 +115,7 @@ class Driver:
         self.progress = SweepProgress(total=proposals.total)
         self._record, self._proposals, self._work = record, proposals, work
         self._retries, self._tell = retries, tell
+        self.points: list[SweepPoint] = []  #: That have been proposed, also by earlier processes
         self._waiting: deque[Attempt] = deque()
         self._handed: dict[int, Attempt] = {}
         self._watched: dict[int, _Watched] = {}
@@ -126,6 +127,7 @@ class Driver:
     def take_stock(self, earlier_points: Iterable[SweepPoint]) -> None:
         """Look at what earlier processes left of the points that they proposed."""
         for point in earlier_points:
+            self.points.append(point)
             folder = RunFolder(self._record.folder, point.number)
             result = folder.result()
             if result is not None and result.state not in self._again:
@@ -190,6 +192,7 @@ class Driver:
         points = self._proposals.more(results, max(0, count))
         if points:
             self._record.append(points)
+            self.points.extend(points)
             self._waiting.extend(Attempt(point) for point in points)
 
     def _settle(self, ended: EndedAttempt) -> None:

@@ -17,6 +17,7 @@ from trms_cli.core.errors import ConfigurationError, RecordingError
 from trms_cli.core.uncollected import uncollected
 from trms_cli.runs.entry import STATUS_NAME
 from trms_cli.sweeps import record
+from trms_cli.sweeps.space import SweepPoint
 
 SCHEMA = "trms.sweep-status/1"
 #: A number, or what a message says was given: one cause is not many because values differ.
@@ -35,9 +36,10 @@ class _Failure(NamedTuple):
 
 
 @uncollected()
-def outcome_of(folder: Path) -> dict[str, Any]:
+def outcome_of(folder: Path, points: Sequence[SweepPoint] | None = None) -> dict[str, Any]:
     """Counts, failures by their reason, the rate and the best.
 
+    `points`: that were proposed, where they are known; else the record is read.
     Returns ``counts`` by state, among them ``running`` and ``left`` (proposed, and not begun or
     left by a worker that died); ``failures``: state, problem, where, remedy (of the first of those
     that differ in values only), count, runs and whether what was typed is the reason; ``rate`` in
@@ -46,7 +48,7 @@ def outcome_of(folder: Path) -> dict[str, Any]:
     """
     sweep = record.Record(folder)
     document = sweep.document()
-    points = sweep.points()
+    points = sweep.points() if points is None else points
     counts = dict.fromkeys(("done", "failed", "lost", "interrupted", "running", "left"), 0)
     failures: dict[tuple[str, ...], _Failure] = {}
     ends: list[float] = []
@@ -64,10 +66,9 @@ def outcome_of(folder: Path) -> dict[str, Any]:
             alike = tuple(_GIVEN.sub("…", words) for words in reason)
             failures.setdefault(alike, _Failure(reason, [], _of_input(status)))
             failures[alike].runs.append(point.number)
-        result = record.result_of(status, point.number)
         if state == "done":
             ends.append(_seconds(status.get("end")))
-            value = result.objective if result is not None else None
+            value = record.objective_of(status)
             if value is not None and math.isfinite(value) and (not best or value < best[0]):
                 best = value, point.number
     total = document.get("total")

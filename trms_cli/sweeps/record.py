@@ -21,6 +21,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -63,8 +64,12 @@ class RunFolder:
     """The folder of a sweep's run, by its number."""
 
     def __init__(self, sweep: Path, number: int) -> None:
-        self.path = sweep / str(number)
-        self.number = number
+        self._sweep, self.number = sweep, number
+
+    @cached_property
+    def path(self) -> Path:
+        """Where it is."""
+        return self._sweep / str(self.number)
 
     def claim(self, attempt: int) -> bool:
         """Begin an attempt; False where somebody has begun it, or a later one.
@@ -117,7 +122,7 @@ class RunFolder:
 
     def status(self) -> dict[str, Any]:
         """The content of ``status.json``; empty where there is none that can be read."""
-        return status_of(self.path / STATUS_NAME)
+        return status_of(f"{self._sweep}{os.sep}{self.number}{os.sep}{STATUS_NAME}")
 
     def result(self) -> RunResult | None:
         """What came of the run, if its status tells; None while it has not ended."""
@@ -171,7 +176,7 @@ def lost_status(
     }
 
 
-def status_of(file: Path) -> dict[str, Any]:
+def status_of(file: Path | str) -> dict[str, Any]:
     """The content of a ``status.json``; empty where there is none that can be read."""
     try:
         return status_document(file) or {}

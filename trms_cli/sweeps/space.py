@@ -75,7 +75,10 @@ class PackedFigures(Mapping[str, float]):
 
     def __init__(self, figures: Mapping[str, float]) -> None:
         names = tuple(figures)
-        self._names = self._known.setdefault(names, {name: i for i, name in enumerate(names)})
+        known = self._known.get(names)
+        if known is None:
+            known = self._known.setdefault(names, {name: i for i, name in enumerate(names)})
+        self._names = known
         self._values = array("d", figures.values())
 
     def __getitem__(self, name: str) -> float:

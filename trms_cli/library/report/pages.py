@@ -132,9 +132,10 @@ def runs_of_rows(
     typed = sweeps.typed_values(result.runs) if typed is None else typed
     keys = [key for key in sweeps.keys_of(result.runs, typed) if key not in draw_keys]
     draws: dict[tuple[str, ...], str] = {}
+    ranked_keys = tuple(dict.fromkeys((*_RANKED, *keys)))
 
     def coordinates(row: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, str]:
-        run_coordinates = {key: _coordinate(row, values, key) for key in (*_RANKED, *keys)}
+        run_coordinates = {key: _coordinate(row, values, key) for key in ranked_keys}
         if draw_keys:
             place = tuple(str(values.get(key)) for key in draw_keys)
             run_coordinates[_DRAW] = draws.setdefault(place, str(len(draws) + 1))

@@ -8,9 +8,12 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
+
+import msgspec
 
 from trms_cli.core.data_file import json_or_none
 from trms_cli.core.wording import listing, typed_files
@@ -262,25 +265,31 @@ def _swept(
     address: Callable[[str], str] | None,
 ) -> SweepRun:
     from trms_cli.reporting.sweep_report import SweepRun
-    from trms_cli.scoring.comparison.ranking import controller_name
 
-    path = Path(str(row["path"]))
-    own = (path if path.is_dir() else path.parent) / PAGE_NAME
-    page = ""
+    path, log = str(row["path"]), str(row["log"])
+    folder, name = os.path.dirname(log), path.rpartition(os.sep)[2]
+    own, page = f"{folder}{os.sep}{PAGE_NAME}", ""
     if address is not None:
-        page = address(str(row["log"]))
-    elif own.parent != page_folder and own.is_file():
-        page = relative_link(str(own), str(page_folder))
+        page = address(log)
+    elif folder != str(page_folder) and os.path.isfile(own):
+        page = relative_link(own, str(page_folder))
     return SweepRun(
-        name=_relative(str(path), root),
-        entrant=controller_name({key: str(value_of(row, typed, key) or "–") for key in by}, by),
+        name=_relative(path, root),
+        entrant=_entrant(tuple(by), tuple(str(value_of(row, typed, key) or "–") for key in by)),
         outcome=str(row.get("outcome") or "unfinished"),
         values={named.get(key, key): value_of(row, typed, key) for key in keys},
         figures=RowFigures(row, figures),
         problem=str(row.get("problem") or "")[:_LONGEST_PROBLEM],
         page=page,
-        number=int(path.name) if path.name.isascii() and path.name.isdigit() else None,
+        number=int(name) if name.isascii() and name.isdigit() else None,
     )
+
+
+@lru_cache(maxsize=4096)
+def _entrant(by: tuple[str, ...], values: tuple[str, ...]) -> str:
+    from trms_cli.scoring.comparison.ranking import controller_name
+
+    return controller_name(dict(zip(by, values, strict=True)), by)
 
 
 class RowFigures(Mapping[str, float]):
@@ -352,6 +361,8 @@ def typed_values(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
     typed = [_typed_of(row) for row in rows]
     files = [_model_file(row, values) for row, values in zip(rows, typed, strict=True)]
+    if not any(files):
+        return typed
     settings = differing_settings(rows, [FlatConfiguration(own) for own in files])
     return [{**values, **own} for values, own in zip(typed, settings, strict=True)]
 
@@ -359,6 +370,8 @@ def typed_values(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def _model_file(row: Mapping[str, Any], typed: Mapping[str, Any]) -> dict[str, str]:
     path = typed.get(_MODEL_FILE)
     if path is None:
+        if not any(key.startswith("model") for key in typed):
+            return {}
         choices = json_or_none(row.get("choices"))
         path = typed_files(choices if isinstance(choices, Mapping) else {}, typed).get("model")
     return {} if path is None else {_MODEL_FILE: str(Path(path).expanduser())}
@@ -367,7 +380,11 @@ def _model_file(row: Mapping[str, Any], typed: Mapping[str, Any]) -> dict[str, s
 def _typed_of(row: Mapping[str, Any]) -> dict[str, Any]:
     from trms_cli.runs.entry import typed_overrides
 
-    words = json_or_none(row.get("overrides"))
+    text = row.get("overrides")
+    try:
+        words = msgspec.json.decode(text or "null")
+    except (msgspec.DecodeError, RecursionError):
+        words = json_or_none(text)
     return typed_overrides([str(word) for word in words]) if isinstance(words, list) else {}
 
 
@@ -407,6 +424,9 @@ def _name(folders: Sequence[Path], root: Path) -> str:
 
 
 def _relative(path: str, root: Path) -> str:
+    stem = f"{root}{os.sep}"
+    if path.startswith(stem) and f"{os.sep}." not in path and os.sep * 2 not in path:
+        return path[len(stem) :].rstrip(os.sep) or root.name
     relative_path = os.path.relpath(os.path.abspath(path), root)
     return root.name if relative_path == "." else relative_path
 

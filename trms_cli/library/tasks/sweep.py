@@ -126,11 +126,13 @@ def go_on(
     record.document()
     with drive_sweep(folder):
         plan = record.plan()
-        earlier_points = record.points(mend=True)
+        with uncollected():
+            earlier_points = record.points(mend=True)
         with place_of(plan):
             steered = resumed_settings(plan, settings)
             sampler, launcher = sampler_and_launcher(steered)
-            proposals = sampler.start(plan.space, earlier_points)
+            with uncollected():
+                proposals = sampler.start(plan.space, earlier_points)
             record.note(state="running", launcher=steered.launcher, retries=steered.retries)
             begun(folder)
             plan, task = replace(plan, retries=steered.retries), task or task_of(plan)
@@ -210,7 +212,7 @@ def _drive(
             if state == "done":
                 raise
     return SweepOutcome(
-        record.folder, tuple(record.points()), dict(results), counts, words.get("summary", {})
+        record.folder, tuple(driver.points), dict(results), counts, words.get("summary", {})
     )
 
 

@@ -158,11 +158,8 @@ def pair_document(pair: Pair) -> dict[str, Any]:
 
 def _entrant(standing: ranked.Standing, ranking: ranked.Ranking) -> dict[str, Any]:
     figures = asdict(ranked.figures_of(standing, ranking.metric))
-    completed_runs = [run for run in standing.runs if run.state is State.DONE]
     others = {
-        m: ranked.mean(run.error(m) for run in completed_runs)
-        for m in metrics()
-        if m != ranking.metric
+        m: ranked.mean(standing.column("channels", m)) for m in metrics() if m != ranking.metric
     }
     errors = {name: figures.pop(f"error_{name}") for name in ("mean", "p95", "worst")}
     return {
@@ -185,14 +182,14 @@ def _entrant(standing: ranked.Standing, ranking: ranked.Ranking) -> dict[str, An
         **figures,
         "by_condition": [
             {
-                "condition": int(condition),
+                "condition": condition,
                 "error": run.error(ranking.metric),
-                "ratio": float(ratio),
+                "ratio": ratio,
                 "state": run.state.value,
                 "path": run.path,
             }
             for condition, ratio, run in zip(
-                standing.conditions, standing.ratios, standing.runs, strict=True
+                standing.conditions.tolist(), standing.ratios.tolist(), standing.runs, strict=True
             )
         ],
     }

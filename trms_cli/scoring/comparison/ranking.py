@@ -15,7 +15,7 @@ chapter 13.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -25,11 +25,13 @@ import numpy as np
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.scoring.comparison.runs import (
+    FIGURES,
     ComparisonRun,
     FlatConfiguration,
     State,
     differing_coordinates,
 )
+from trms_cli.scoring.figures import Group
 
 #: Coordinates of who ran; the others are of what was run in.
 OF_ENTRANTS = ("controller", "observer", "model", "supervisor", "qp_solver")
@@ -60,8 +62,12 @@ class ComparisonGroup:
         """Tracking errors (entrants, conditions): NaN where nobody ran, inf for a failed run."""
         table = np.full((len(self.entrants), len(self.conditions)), np.nan)
         for place, runs in self.cells.items():
-            failed = [run.state is State.FAILED for run in runs]
-            table[place] = math.inf if any(failed) else np.mean([r.error(metric) for r in runs])
+            if any(run.state is State.FAILED for run in runs):
+                table[place] = math.inf
+            elif len(runs) == 1:
+                table[place] = runs[0].error(metric)
+            else:
+                table[place] = np.mean([run.error(metric) for run in runs])
         return table
 
     @cached_property
@@ -258,6 +264,16 @@ class Standing:
     #: By metric, once they were asked for
     figures: dict[str, Figures] = field(default_factory=dict, compare=False, repr=False)
 
+    @cached_property
+    def _ended(self) -> FloatArray:
+        """Of the runs that did not fail all of FIGURES, a column each; NaN for what is not."""
+        rows = [run.row() for run in self.runs if run.state is not State.FAILED]
+        return np.array(rows, dtype=float).reshape(len(rows), len(FIGURES))
+
+    def column(self, group: Group, key: str) -> FloatArray:
+        """A figure of each run that did not fail; NaN for those without."""
+        return self._ended[:, FIGURES[group, key]]
+
     @property
     def different(self) -> bool | None:
         """Whether it is told from the first; None where that cannot be said."""
@@ -327,7 +343,7 @@ def rank(runs: ComparisonGroup, metric: str = "rmse", *, resamples: int = RESAMP
                 name=runs.entrants[i],
                 rank=place + 1 if whole[i] else None,
                 outside=runs.outside[i],
-                runs=tuple(runs.run(i, int(c)) for c in there),
+                runs=tuple(runs.run(i, c) for c in there.tolist()),
                 conditions=there,
                 ratios=ratios[i, there],
                 ratio=float(means[i]),
@@ -337,11 +353,9 @@ def rank(runs: ComparisonGroup, metric: str = "rmse", *, resamples: int = RESAMP
                 shared=int(shared.sum()),
             )
         )
-    best = {
-        c: runs.entrants[int(np.argmin(allowed[:, c]))]
-        for c in range(len(floor))
-        if np.isfinite(floor[c])
-    }
+    conditions = np.flatnonzero(np.isfinite(floor))
+    bests = allowed[:, conditions].argmin(axis=0) if conditions.size else conditions
+    best = {c: runs.entrants[i] for c, i in zip(conditions.tolist(), bests.tolist(), strict=True)}
     return Ranking(
         metric=metric,
         contest=runs,
@@ -425,7 +439,7 @@ def _geometric(values: FloatArray) -> float:
 
 def quantile(values: Sequence[float] | FloatArray, share: float) -> float:
     """A quantile of the finite values; NaN without any."""
-    present = np.asarray([value for value in values if math.isfinite(value)], dtype=float)
+    present = _finite(values)
     return float(np.quantile(present, share)) if present.size else math.nan
 
 
@@ -461,11 +475,9 @@ def figures_of(standing: Standing, metric: str = "rmse") -> Figures:
 
 
 def _summed(standing: Standing, metric: str) -> Figures:
-    runs = standing.runs
-    ended = [run for run in runs if run.state is not State.FAILED]
-    errors = [run.error(metric) for run in ended]
+    runs, column = standing.runs, standing.column
+    errors, degraded = column("channels", metric), column("run", "degraded")
     counted = [run.non_finite for run in runs if run.non_finite is not None]
-    degraded = [run.of_run("degraded") for run in ended]
     return Figures(
         runs=len(runs),
         error_mean=mean(errors),
@@ -473,18 +485,18 @@ def _summed(standing: Standing, metric: str) -> Figures:
         error_worst=_largest(errors),
         ratio_p95=quantile(standing.ratios, 0.95),
         ratio_worst=_largest(standing.ratios),
-        effort=mean(run.input_sum("effort") for run in ended),
-        variation=mean(run.input_sum("total_variation") for run in ended),
-        step_ms=_median(ended, lambda run: run.step_time("median")),
-        step_p99_ms=_median(ended, lambda run: run.step_time("p99")),
-        step_max_ms=_largest([run.step_time("max") for run in ended]),
-        failed=len(runs) - len(ended),
+        effort=mean(column("inputs", "effort")),
+        variation=mean(column("inputs", "total_variation")),
+        step_ms=quantile(column("solver", "time_ms.median"), 0.5),
+        step_p99_ms=quantile(column("solver", "time_ms.p99"), 0.5),
+        step_max_ms=_largest(column("solver", "time_ms.max")),
+        failed=len(runs) - len(errors),
         non_finite=sum(counted) if counted else None,
-        fallbacks=_count(run.solver("failures") for run in ended),
-        degraded_s=math.fsum(value for value in degraded if math.isfinite(value)),
-        degraded_runs=sum(value > 0 for value in degraded),
-        missed=_count(run.solver("deadline_misses") for run in ended),
-        violations=_count(run.of_run("violations") for run in ended),
+        fallbacks=int(_sum(column("solver", "failures"))),
+        degraded_s=_sum(degraded),
+        degraded_runs=int(np.count_nonzero(degraded > 0)),
+        missed=int(_sum(column("solver", "deadline_misses"))),
+        violations=int(_sum(column("run", "violations"))),
     )
 
 
@@ -495,19 +507,21 @@ def worst_condition(standing: Standing, names: Callable[[int], str]) -> str:
     return names(int(standing.conditions[int(np.argmax(standing.ratios))]))
 
 
-def mean(values: Iterable[float]) -> float:
+def _finite(values: Sequence[float] | FloatArray) -> FloatArray:
+    numbers = np.asarray(values, dtype=float)
+    return numbers[np.isfinite(numbers)]
+
+
+def _sum(values: FloatArray) -> float:
+    return math.fsum(_finite(values).tolist())
+
+
+def mean(values: FloatArray) -> float:
     """Of the finite values; NaN without any."""
-    present = [value for value in values if math.isfinite(value)]
-    return math.fsum(present) / len(present) if present else math.nan
+    count = np.count_nonzero(np.isfinite(values))
+    return _sum(values) / int(count) if count else math.nan
 
 
-def _median(runs: Sequence[ComparisonRun], figure: Callable[[ComparisonRun], float]) -> float:
-    return quantile([figure(run) for run in runs], 0.5)
-
-
-def _largest(values: Iterable[float]) -> float:
-    return max((float(value) for value in values if math.isfinite(value)), default=math.nan)
-
-
-def _count(values: Iterable[float]) -> int:
-    return int(math.fsum(value for value in values if math.isfinite(value)))
+def _largest(values: FloatArray) -> float:
+    present = _finite(values)
+    return float(present.max()) if present.size else math.nan

@@ -15,10 +15,11 @@ import json
 import math
 import os
 import re
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -130,6 +131,23 @@ class ComparisonRun:
         value = None if place is None else self.figures[place]
         return math.nan if value is None else value
 
+    def row(self) -> Sequence[float | None]:
+        """All of :data:`FIGURES`, for a table of many runs; None or NaN where there is none."""
+        if self.figures is not None:
+            return self.figures
+        return tuple(
+            self.error(key)
+            if group == "channels"
+            else self.input_sum(key)
+            if group == "inputs"
+            else self.of_run(key)
+            if group == "run"
+            else self.step_time(key.removeprefix("time_ms."))
+            if key.startswith("time_ms.")
+            else self.solver(key)
+            for group, key in FIGURES
+        )
+
     def error(self, metric: str = "rmse") -> float:
         """Tracking error: a metric summed over the channels; NaN where there is none."""
         if self.figures is not None:
@@ -218,10 +236,11 @@ def of_overrides(overrides: Sequence[str]) -> dict[str, str]:
 def complete_coordinates(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
     """Give every run a value for each coordinate, and the keys in which configurations differ."""
     runs = _with_settings(with_rigs(runs))
-    usual: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    for run in runs:
-        for key, value in run.coordinates.items():
-            usual[key][value] += 1
+    names = dict.fromkeys(key for run in runs for key in run.coordinates)
+    usual = {
+        key: Counter(run.coordinates[key] for run in runs if key in run.coordinates)
+        for key in names
+    }
     implied = {key for key in usual if "@" in key and _is_implied(key, runs)}
     # a setting of one option's is none of another's; an option left out is the usual
     defaults = {
@@ -231,7 +250,9 @@ def complete_coordinates(runs: Sequence[ComparisonRun]) -> list[ComparisonRun]:
     }
     whole = []
     for run in runs:
-        filled = {key: value for key, value in run.coordinates.items() if key not in implied}
+        filled = dict(run.coordinates)
+        for key in implied:
+            filled.pop(key, None)
         if len(filled) < len(defaults):
             filled |= {key: value for key, value in defaults.items() if key not in filled}
         whole.append(run.with_coordinates(filled))
@@ -263,11 +284,12 @@ def _equations(coordinates: Mapping[str, str]) -> str:
 def _is_implied(key: str, runs: Sequence[ComparisonRun]) -> bool:
     """Whether an option of an option (``signal@ref.alpha_v``) follows from the one it is in."""
     group = key.partition("@")[2].partition(".")[0]
-    values: dict[str, set[str]] = {}
-    for run in runs:
-        if key in run.coordinates:
-            values.setdefault(run.coordinates.get(group, ""), set()).add(run.coordinates[key])
-    return all(len(options) == 1 for options in values.values())
+    pairs = {
+        (run.coordinates.get(group, ""), run.coordinates[key])
+        for run in runs
+        if key in run.coordinates
+    }
+    return len({option for option, _ in pairs}) == len(pairs)
 
 
 def differing_coordinates(runs: Sequence[ComparisonRun]) -> list[str]:
@@ -318,19 +340,26 @@ def differing_settings(
     ``choices``: the option of each group. A run of which only a part of the configuration is known,
     a job without a log, is not said to have none of the other keys.
     """
-    groups: dict[tuple[str, str], list[int]] = {}
     heads: dict[int, dict[str, None]] = {}
+    # runs of the same configuration but for values, and of the same options: most of a sweep
+    alike: dict[tuple[Any, ...], list[int]] = {}
     for i, (options, own) in enumerate(zip(choices, configurations, strict=True)):
-        if id(own.base) not in heads:
-            heads[id(own.base)] = _heads(own.base)
-        names = heads[id(own.base)]
-        if own.changes:
-            names = names | _heads(own.changes)
-        for group in names:
-            groups.setdefault((group, str(options.get(group, ""))), []).append(i)
+        base = id(own.base)
+        if base not in heads:
+            heads[base] = _heads(own.base)
+        names = heads[base] | _heads(own.changes) if own.changes else heads[base]
+        signature = (base, *own.changes, None, *[str(options.get(name, "")) for name in names])
+        alike.setdefault(signature, []).append(i)
+    groups: dict[tuple[str, str], list[list[int]]] = {}
+    for several in alike.values():
+        options, own = choices[several[0]], configurations[several[0]]
+        for group in heads[id(own.base)] | _heads(own.changes):
+            groups.setdefault((group, str(options.get(group, ""))), []).append(several)
     settings: list[dict[str, str]] = [{} for _ in choices]
-    for (group, _), members in groups.items():
-        for key in _keys_that_may_differ(f"{group}.", [configurations[i] for i in members]):
+    for (group, _), families in groups.items():
+        keys = _keys_that_may_differ(f"{group}.", [configurations[each[0]] for each in families])
+        members = sorted(chain.from_iterable(families)) if keys else ()
+        for key in keys:
             if key in NO_COORDINATES or key.startswith(_COPIES):
                 continue
             values = [configurations[i].get(key) for i in members]

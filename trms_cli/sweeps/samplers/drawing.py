@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -342,17 +343,22 @@ class PlannedPoints:
     @property
     def total(self) -> int:
         """Points in all."""
-        return len(self.samples) * combinations(self.space.choices)
+        return len(self.samples) * self._combinations
+
+    @cached_property
+    def _combinations(self) -> int:
+        return combinations(self.space.choices)
 
     def point(self, number: int) -> SweepPoint:
         """The point of a number."""
-        sample, choice = divmod(number, combinations(self.space.choices))
-        part = (
-            Part(self.space.fixed)
-            + choice_part(self.space.choices, choice)
-            + sample_part(self.space.continuous, self.samples[sample].tolist())
+        sample, choice = divmod(number, self._combinations)
+        chosen = choice_part(self.space.choices, choice)
+        drawn = sample_part(self.space.continuous, self.samples[sample].tolist())
+        return SweepPoint(
+            number,
+            (*self.space.fixed, *chosen.overrides, *drawn.overrides),
+            {**(chosen.values or {}), **(drawn.values or {})},
         )
-        return SweepPoint(number, part.overrides, part.values or {})
 
     def more(self, results: Sequence[RunResult], count: int) -> list[SweepPoint]:
         """The next points; results change nothing."""
