@@ -19,6 +19,9 @@ from experiments.chapter7.study import CONFIGS, HERE, Job
 from trms_cli.core.errors import TrmsError
 
 _STEP = 0.005  #: s, in which the served rig is stepped
+#: s that the loop waits for the rig, and for an answer: on a busy machine it lives slower than the
+#: clock, a step at a time between two answers
+_PATIENCE, _REPLY = 2.0, 0.1
 _BEFORE = 600.0  #: s, for which it also waits: on a busy machine the loop compiles for minutes
 _OF_THE_RIG = ("plant", "disturbance@plant")
 
@@ -29,7 +32,8 @@ def run_over_the_wire(job: Job, last: float) -> Outcome:
     duration = next(float(w.partition("=")[2]) for w in loop if w.startswith("sim.duration="))
     try:
         with served_rig(rig, duration + _BEFORE) as address:
-            words = [*address, "plant.arm=true", *loop]
+            patience = [f"plant.lost_after={_PATIENCE}", f"plant.reply_timeout={_REPLY}"]
+            words = [*address, "plant.arm=true", *patience, *loop]
             return outcome_of(job, close_loop(experiment_for(words)), last)
     except Exception as error:  # a failing run must not hide the others
         return Outcome(job, problem=f"{type(error).__name__}: {error}")

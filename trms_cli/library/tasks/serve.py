@@ -65,6 +65,12 @@ def perform(composition: Composition) -> int:
         listener.close()
         if truth is not None:
             truth.close()
+    if server.stood_still > 0.0:
+        _say(
+            rig.time,
+            f"the rig stood still for {server.stood_still:.3g} s: it takes longer to simulate than "
+            "to live on this machine (step=… is its integration step)",
+        )
     command = ", ".join(
         f"{signal.name} {value:g} {signal.unit}"
         for signal, value in zip(run.inputs, rig.command, strict=True)

@@ -123,6 +123,11 @@ class AnsweringRig(Protocol):
         """What is answered to a frame at a time (s)."""
 
 
+#: s that a rig may be behind the clock. One that takes longer to simulate than to live stands still
+#: for the rest: to catch up it would answer ever later, and in the end nobody.
+_BEHIND = 0.05
+
+
 class RigServer:
     """A rig, its listener, and the wire between them."""
 
@@ -132,21 +137,27 @@ class RigServer:
         self._rig, self._listener = rig, listener
         streams = np.random.SeedSequence([seed, 0x57495245]).spawn(2)
         self._there, self._back = (LossyWire(nuisances, np.random.default_rng(s)) for s in streams)
+        self.stood_still = 0.0  #: s for which the rig did not move, since the machine is too slow
 
     def serve(self, duration: float, step_time: float, is_over: Callable[[], bool]) -> None:
         """Move and answer for a time (s), by the machine's clock."""
         clock, rig = WallClock(), self._rig
-        start = clock.now()
+        begin = start = clock.now()
         while not is_over():
             now = clock.now() - start
-            if now >= duration:
+            if clock.now() - begin >= duration:
                 return
             due = min(rig.time + step_time, self._there.next_arrival, self._back.next_arrival)
             data = self._listener.receive(max(due - now, 0.0))
             now = clock.now() - start
+            too_late = now - rig.time - step_time - _BEHIND
+            if too_late > 0.0:
+                start, now = start + too_late, now - too_late
+                self.stood_still += too_late
             if data is not None:
                 self._there.put(data, now)
-            rig.advance_to(now)
+            # one step, and whoever asked meanwhile is answered before the next
+            rig.advance_to(min(now, rig.time + step_time))
             while (frame := self._there.take(now)) is not None:
                 reply = rig.answer(frame, now)
                 if reply is not None:
