@@ -14,6 +14,7 @@ import msgspec
 from trms_cli.core.data_file import json_or_none, unreadable
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.printable import printable
+from trms_cli.core.whole_file import BINARY
 from trms_cli.core.wording import named_files, typed_models
 from trms_cli.recordings.log_head import LogHead, read_log_head
 from trms_cli.runs.columns import COLUMNS, figures_of, units_of
@@ -266,7 +267,7 @@ def status_document(file: Path | str) -> dict[str, Any] | None:
 
     Raises OSError if the file cannot be read.
     """
-    descriptor = os.open(file, os.O_RDONLY | os.O_CLOEXEC)  # for a hundred thousand of them
+    descriptor = os.open(file, os.O_RDONLY | BINARY)  # for a hundred thousand of them
     try:
         content = os.read(descriptor, min(os.fstat(descriptor).st_size, _LONGEST))
     finally:
