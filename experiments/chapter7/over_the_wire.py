@@ -22,7 +22,7 @@ _STEP = 0.005  #: s, in which the served rig is stepped
 #: s that the loop waits for the rig, and for an answer: on a busy machine it lives slower than the
 #: clock, a step at a time between two answers
 _PATIENCE, _REPLY = 2.0, 0.1
-_BEFORE = 600.0  #: s, for which it also waits: on a busy machine the loop compiles for minutes
+_BEFORE = 60.0  #: s, for which it also waits: the loop compiles, connects and lands meanwhile
 _OF_THE_RIG = ("plant", "disturbance@plant")
 
 

@@ -29,9 +29,8 @@ class Renamed(NamedTuple):
     """What takes the place of a former name, and until when that one works."""
 
     present: str
-    gone_with: (
-        int  #: the first major version that refuses the former name, and says the present one
-    )
+    #: The first major version that refuses the former name, and says the present one
+    gone_with: int
 
 
 #: Former names as they are typed: ``trms COMMAND``, ``trms COMMAND --OPTION``, ``SOME.KEY`` and

@@ -147,7 +147,7 @@ class LimitCycleResult:
 def _measures(result: LimitCycleResult) -> list[Measure]:
     """How many cycles there are, what that rests on, and the Hopf points over the command."""
     orbits, row = result.search.orbits, result.state
-    how = "proved" if result.excluded or (result.proof.proved and result.smooth) else "searched"
+    how = "proved" if result.proof.proved and result.smooth else "searched"
     if result.search.continuum:
         measures = [Measure("limit cycles", "a continuum")]
     else:

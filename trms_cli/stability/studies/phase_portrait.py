@@ -209,12 +209,8 @@ class PhasePortrait:
             failed = f"{failures} control samples' solves failed; the fall-back acted"
             warnings.insert(0, failed)
         lead = lead_of_loop(result, at_bound)
-        title, data, measures = (
-            f"Phase portrait under {name}",
-            json_data(results),
-            _measures(result),
-        )
-        return Findings(title, lead, parts, data, warnings, measures)
+        title, measures = f"Phase portrait under {name}", _measures(result)
+        return Findings(title, lead, parts, json_data(results), warnings, measures)
 
 
 def _settling(rest: RestPoint) -> float:
