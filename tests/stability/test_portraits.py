@@ -597,7 +597,7 @@ def test_a_loop_brings_every_start_to_the_goal_or_is_not_praised_and_bounds_are_
     (end,) = findings.results["trajectories"]["ends"]
     assert end["what"] == "rest" and end["share"] == 1.0
     assert "All 4 trajectories under lqr reach the goal" in findings.lead[0]
-    assert findings.measures[1].value == "4 of 4"
+    assert (findings.measures[0].label, findings.measures[0].value) == ("reach the goal", "4 of 4")
     assert not marks(findings, Flow) and not marks(findings, Contour)
     labels = {curve.label for curve in marks(findings, Curve)}
     assert {"comes to rest at the goal", "without controller"} <= labels

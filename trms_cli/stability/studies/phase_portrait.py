@@ -323,13 +323,18 @@ def merge_outside(ends: Sequence[TrajectoryEnd]) -> tuple[TrajectoryEnd, ...]:
 
 
 def _measures(result: PortraitResult) -> list[Measure]:
-    """Equilibria in the window, and how many of the trajectories come to rest, how soon."""
+    """Equilibria of the model alone, and how many of the trajectories arrive, how soon."""
     reached = [end for end in result.ends if end.what == "rest"]
     times = [time for end in reached for time in end.times]
-    count, total = sum(len(end.members) for end in reached), len(result.trajectories)
-    stable = sum(rest.stable for rest in result.rests)
-    measures = [Measure("equilibria", len(result.rests), "", "", f"{stable} stable")]
-    measures.append(Measure("come to rest", f"{count} of {total}", "", "", "within the window"))
+    arrived = f"{sum(len(end.members) for end in reached)} of {len(result.trajectories)}"
+    if result.loop:  # whose equilibria are not searched
+        measures = [Measure("reach the goal", arrived, "", "", "trajectories")]
+    else:
+        stable = f"{sum(rest.stable for rest in result.rests)} stable"
+        measures = [
+            Measure("equilibria", len(result.rests), "", "", stable),
+            Measure("come to rest", arrived, "", "", "within the window"),
+        ]
     if times:
         measures.append(Measure("median time", float(np.median(times)), "s"))
     return measures
