@@ -101,11 +101,12 @@ class TestNotebook:
         made.cells = made.cells[: len(made.cells) - more]
         kept = nbformat.read(file, as_version=4)
         assert sources(made) == sources(kept)
-        shown, expected = (
-            [[output.output_type for output in cell.get("outputs", ())] for cell in notebook.cells]
-            for notebook in (made, kept)
-        )
-        assert shown == expected
+        for now, before in zip(made.cells, kept.cells, strict=True):
+            shown, expected = (
+                [output.output_type for output in cell.get("outputs", ())] for cell in (now, before)
+            )
+            printed = "".join(output.get("text", "") for output in now.get("outputs", ()))
+            assert shown == expected, f"{now.source}\n\nprinted:\n{printed}"
 
     def test_is_kept_with_small_outputs_and_nothing_of_a_machine(self, file):
         text = file.read_text(encoding="utf-8")

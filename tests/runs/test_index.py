@@ -116,6 +116,8 @@ class TestRow:
         assert [c.unit for c in both.columns.values()] == ["", "", "m", "rad"]
         twins = find(Query(filter="rmse_alpha_v > 0", columns=("rmse",)))
         assert twins.columns["rmse"].unit == "rad"
+        # the columns of a folder are those of its runs
+        assert "rmse_position" not in find(Query(folders=("twin",))).columns
 
     def test_a_score_that_holds_what_it_should_not(self, write_run):
         channel = {"rmse": "0.1; DROP TABLE runs", "iae": [1], "steps": 1e40}

@@ -52,6 +52,8 @@ _PATIENCE = 20.0  # s, for another process that is writing
 #: What a file is: a run, a log of something else, or one that cannot be read; or not yet looked at.
 RUN, OTHER, UNREADABLE, UNSEEN = "run", "other", "unreadable", "unseen"
 
+_ALL = Sql("1")  # holds for every run
+
 
 class FileStamp(NamedTuple):
     """What is known of a log's file."""
@@ -309,10 +311,12 @@ class RunIndex:
                 f"UPDATE logs SET mtime_ns = -1 WHERE {scope.text}", scope.values
             )
 
-    def more_names(self) -> list[str]:
-        """Figures that some runs have beside the columns, by name."""
+    def more_names(self, condition: Sql = _ALL) -> list[str]:
+        """Figures beside the columns, by name, that some runs have for which a condition holds."""
         rows = self._connection.execute(
-            "SELECT DISTINCT j.key FROM runs, json_each(runs.more) AS j ORDER BY j.key"
+            f"SELECT DISTINCT j.key FROM (SELECT more FROM runs WHERE {condition.text}) AS r,"
+            " json_each(r.more) AS j ORDER BY j.key",
+            condition.values,
         )
         return [name for (name,) in rows]
 

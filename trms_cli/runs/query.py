@@ -117,7 +117,7 @@ def _find(question: Query, tell: Tell) -> QueryResult:
         within = Sql(f"({condition.text}) AND {scope.text}", condition.values + scope.values)
         columns = {
             name: _column(name, more, "--columns")
-            for name in expanded(question.columns or ("*",), more)
+            for name in expanded(question.columns or ("*",), index.more_names(scope))
         }
         units = index.units(within)
         _, order = _column(question.sort, more, "--sort")
