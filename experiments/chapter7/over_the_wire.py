@@ -19,8 +19,8 @@ from experiments.chapter7.study import CONFIGS, HERE, Job
 from trms_cli.core.errors import TrmsError
 
 _STEP = 0.005  #: s, in which the served rig is stepped
-#: s that the loop waits for the rig, and for an answer: on a busy machine it lives slower than the
-#: clock, a step at a time between two answers
+#: s that the loop and the rig wait for each other, and the loop for an answer: on a busy machine the
+#: rig lives slower than the clock, a step at a time between two answers, and either may be held up
 _PATIENCE, _REPLY = 2.0, 0.1
 _BEFORE = 60.0  #: s, for which it also waits: the loop compiles, connects and lands meanwhile
 _OF_THE_RIG = ("plant", "disturbance@plant")
@@ -32,8 +32,9 @@ def run_over_the_wire(job: Job, last: float) -> Outcome:
     duration = next(float(w.partition("=")[2]) for w in loop if w.startswith("sim.duration="))
     try:
         with served_rig(rig, duration + _BEFORE) as address:
-            patience = [f"plant.lost_after={_PATIENCE}", f"plant.reply_timeout={_REPLY}"]
-            words = [*address, "plant.arm=true", *patience, *loop]
+            patience = [f"plant.{name}={_PATIENCE}" for name in ("lost_after", "watchdog")]
+            patience += [f"plant.reply_timeout={_REPLY}", "plant.arm=true"]
+            words = [*address, *patience, *loop]
             return outcome_of(job, close_loop(experiment_for(words)), last)
     except Exception as error:  # a failing run must not hide the others
         return Outcome(job, problem=f"{type(error).__name__}: {error}")
@@ -53,6 +54,7 @@ def served_rig(overrides: Sequence[str], duration: float) -> Iterator[list[str]]
     """
     command = [sys.executable, "-m", "trms_cli", "rig", "serve", "--config-dir", str(CONFIGS)]
     command += ["--allow", "experiments", *overrides, "port=0", f"step={_STEP}"]
+    command += [f"watchdog={_PATIENCE}"]
     process = subprocess.Popen(
         [*command, f"duration={duration}"],
         stdout=subprocess.PIPE,
