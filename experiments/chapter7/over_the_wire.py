@@ -19,9 +19,9 @@ from experiments.chapter7.study import CONFIGS, HERE, Job
 from trms_cli.core.errors import TrmsError
 
 _STEP = 0.005  #: s, in which the served rig is stepped
-#: s that the loop and the rig wait for each other, and the loop for an answer: on a busy machine the
-#: rig lives slower than the clock, a step at a time between two answers, and either may be held up
-_PATIENCE, _REPLY = 2.0, 0.1
+#: s that the loop and the rig wait for each other: on a busy machine the rig lives slower than the
+#: clock, a step at a time between two answers, and either may be held up
+_PATIENCE = 2.0
 _BEFORE = 60.0  #: s, for which it also waits: the loop compiles, connects and lands meanwhile
 _OF_THE_RIG = ("plant", "disturbance@plant")
 
@@ -32,9 +32,9 @@ def run_over_the_wire(job: Job, last: float) -> Outcome:
     duration = next(float(w.partition("=")[2]) for w in loop if w.startswith("sim.duration="))
     try:
         with served_rig(rig, duration + _BEFORE) as address:
-            patience = [f"plant.{name}={_PATIENCE}" for name in ("lost_after", "watchdog")]
-            patience += [f"plant.reply_timeout={_REPLY}", "plant.arm=true"]
-            words = [*address, *patience, *loop]
+            waits = ("lost_after", "reply_timeout", "watchdog")
+            patience = [f"plant.{name}={_PATIENCE}" for name in waits]
+            words = [*address, "plant.arm=true", *patience, *loop]
             return outcome_of(job, close_loop(experiment_for(words)), last)
     except Exception as error:  # a failing run must not hide the others
         return Outcome(job, problem=f"{type(error).__name__}: {error}")

@@ -130,7 +130,8 @@ class TestOverTheWire:
         outcome = run_over_the_wire(dataclasses.replace(job, overrides=tuple(words)), 1.0)
         assert not outcome.problem
         pitch = outcome.traces["alpha_v"]
-        assert pitch[0] == pytest.approx(-0.6, abs=0.15) and pitch[-1] > 0.1
+        told = {name: outcome.traces[name] for name in ("time", "alpha_v", "r_alpha_v", "u_v")}
+        assert pitch[0] == pytest.approx(-0.6, abs=0.15) and pitch[-1] > 0.1, told
         assert outcome.figures["alpha_v"]["estimate_rmse"] is None  # the truth stays with the rig
 
 
