@@ -117,7 +117,7 @@ def _agreement(options: Options, program: str | None) -> Table:
     )
     if program is None:
         return table
-    for name, overrides in _LOOPS.items():
+    for name, overrides in options.cases(_LOOPS).items():
         loop_setup = experiment(
             "controller=newton_mpc",
             "observer=full_state",
@@ -169,7 +169,7 @@ def _times(options: Options, program: str | None) -> Table:
     if program is None:
         table.notes.append("no C compiler on this machine: nothing measured")
         return table
-    for name, (limit, horizon, iterations) in _CASES.items():
+    for name, (limit, horizon, iterations) in options.cases(_CASES).items():
         loop_setup = experiment(
             "controller=newton_mpc",
             "ref=square",

@@ -39,7 +39,7 @@ def run(options: Options) -> list[Table]:
             *LIMIT,
         ],
     )
-    for name, overrides in _CASES.items():
+    for name, overrides in options.cases(_CASES).items():
         chosen = experiment(
             *("controller=linear_mpc", "ref=square", *FULL_STATE, *overrides),
             f"sim.duration={options.duration(80.0)}",

@@ -17,7 +17,8 @@ from trms_cli.core.compilation import BufferedFunction, compile_function
 @pytest.fixture(name="cache")
 def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TRMS_CACHE", str(tmp_path / "cache"))
-    monkeypatch.delenv("TRMS_COMPILE", raising=False)
+    for name in ("TRMS_COMPILE", "TRMS_CFLAGS"):
+        monkeypatch.delenv(name, raising=False)
     compilation.compiler.cache_clear()
     yield tmp_path / "cache"
     compilation.compiler.cache_clear()
@@ -56,6 +57,17 @@ def test_cache_is_by_content_in_another_process_too(cache: Path) -> None:
     compile_function(function(3.0))
     assert len(list(cache.glob("*.so"))) == 2
     assert not [path for path in cache.iterdir() if path.suffix != ".so"]
+
+
+def test_flags_of_one_s_own_make_another_library_of_the_same_numbers(cache, monkeypatch) -> None:
+    values = []
+    for flags in ("", "-O0", "-O3 -g"):
+        monkeypatch.setenv("TRMS_CFLAGS", flags)
+        compilation._loaded.cache_clear()
+        outputs = BufferedFunction(function(0.3)).evaluate(np.arange(1.0, 4.0), np.eye(2))
+        values.append([output.tobytes() for output in outputs])
+    assert values[0] == values[1] == values[2]
+    assert len(list(cache.glob("*.so"))) == 3
 
 
 @pytest.mark.parametrize("trouble", ["no compiler", "a broken compiler", "no place for a cache"])

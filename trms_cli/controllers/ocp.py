@@ -33,7 +33,7 @@ import numpy as np
 from trms_cli.controllers.horizon import ARGUMENTS, Horizon
 from trms_cli.controllers.reference_forecast import smooth_rates
 from trms_cli.core.arrays import FloatArray, IntArray
-from trms_cli.core.compilation import QUICKLY, build_library
+from trms_cli.core.compilation import COMPILER_FLAGS, build_library
 from trms_cli.core.errors import ConfigurationError
 
 Method = Literal["fatrop", "ipopt"]
@@ -161,7 +161,7 @@ def _library(ocp: Ocp, method: Method) -> Path | None:
             os.chdir(here)
 
     problem = ca.Function("nlp", [ocp.nlp[k] for k in "xp"], [ocp.nlp[k] for k in "fg"])
-    return build_library("nmpc", [problem.serialize(), method], QUICKLY, write)
+    return build_library("nmpc", [problem.serialize(), method], COMPILER_FLAGS, write)
 
 
 @dataclass(frozen=True)

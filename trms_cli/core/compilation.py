@@ -11,6 +11,7 @@ import ctypes
 import functools
 import hashlib
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -26,14 +27,15 @@ import numpy.typing as npt
 
 from trms_cli.core.arrays import FloatArray
 
-#: ``-ffp-contract=off`` keeps every operation as it is written, so that adding a term that is
-#: zero leaves all bits as they were. No ``-march=native``: a cache folder may be shared by the
+#: Of code that follows from a model: long, without loops, and new with each effect. More than -O1
+#: takes twice the time and makes it no faster. ``-ffp-contract=off`` keeps every operation as it is
+#: written, so that adding a term that is zero leaves all bits as they were, and any level of
+#: optimisation gives the same numbers. No ``-march=native``: a cache folder may be shared by the
 #: machines of a cluster.
-COMPILER_FLAGS = ("-O2", "-ftree-vectorize", "-fPIC", "-shared", "-ffp-contract=off")
-#: For code that is large and often new: a driver with a model that has another effect for each of
-#: dozens of hypotheses, second derivatives. Compiling takes half the time so, and the code is as
-#: fast.
-QUICKLY = ("-O1", *COMPILER_FLAGS[2:])
+COMPILER_FLAGS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off")
+#: Of C that is written by hand: short, and full of loops.
+_OF_LOOPS = ("-O2", "-ftree-vectorize", *COMPILER_FLAGS[1:])
+_OWN_FLAGS = "TRMS_CFLAGS"  # more flags, after ours
 _ENVIRONMENT_SWITCH = "TRMS_COMPILE"  # "0" turns compilation off
 #: s that a compiler may take before somebody at a terminal is told.
 _LONG = 1.0
@@ -133,7 +135,7 @@ def _library(functions: Sequence[ca.Function], driver: str, name: str = "") -> P
         return source
 
     content = [*(function.serialize() for function in functions), driver]
-    return build_library(name, content, QUICKLY if functions and driver else COMPILER_FLAGS, write)
+    return build_library(name, content, COMPILER_FLAGS if functions else _OF_LOOPS, write)
 
 
 def build_library(
@@ -152,7 +154,7 @@ def build_library(
         library.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
             source, binary = write(Path(scratch)), Path(scratch) / library.name
-            command = [program, *flags, "-o", str(binary), str(source), "-lm"]
+            command = [program, *_all(flags), "-o", str(binary), str(source), "-lm"]
             with _saying(name):
                 subprocess.run(command, check=True, capture_output=True)
             os.replace(binary, library)
@@ -189,8 +191,13 @@ def _place(name: str, content: Iterable[str], flags: Sequence[str]) -> Path | No
     program = compiler()
     if program is None:
         return None
-    key = hashlib.sha256("\n".join([*content, ca.__version__, program, *flags]).encode())
+    key = hashlib.sha256("\n".join([*content, ca.__version__, program, *_all(flags)]).encode())
     return cache_folder() / f"{name}_{key.hexdigest()[:32]}.so"
+
+
+def _all(flags: Sequence[str]) -> list[str]:
+    """Flags, and those that whoever starts the program adds."""
+    return [*flags, *shlex.split(os.environ.get(_OWN_FLAGS, ""))]
 
 
 class BufferedFunction:

@@ -32,7 +32,7 @@ from trms_cli.core.compilation import build_library, compiler, is_built
 from trms_cli.core.invocation import remark_wait
 
 #: Of the engine; the compiler keeps every operation as it is written.
-FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fPIC", "-shared")
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 STATUS = (Status.OK, Status.BUDGET, Status.RELAXED, Status.FAILED)  # in the order of mpc_status
 FALLBACKS = ("", "shifted_plan", "hold", "steady_input", "stop")  # in the order of mpc_fallback
 REASONS = (  # in the order of mpc_reason
