@@ -52,7 +52,7 @@ rig: $(READY) ## a simulated rig in a process of its own, driven over UDP, watch
 	@$(BIN)/python -m experiments.rig $(ARGS)
 
 test: $(READY) ## set up and run the tests
-	@TRMS_RUNS=off TRMS_CFLAGS=-O0 $(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations 10 -m 'not slow' -q $(ARGS)
+	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations 10 -m 'not slow' -q $(ARGS)
 
 slow: $(READY) ## the long tests, but for those of `make package`
 	@TRMS_RUNS=off $(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations 40 -m slow -q --ignore=tests/packaging $(ARGS)

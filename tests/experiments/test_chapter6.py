@@ -10,11 +10,9 @@ from experiments.chapter6.__main__ import PAGE
 from experiments.chapter6.decrease import study_decrease
 from experiments.chapter6.domain import study_box, study_slice
 from experiments.chapter6.iterations import square_wave
-from experiments.chapter6.results import compute, figures_of
 from experiments.chapter6.rig import MODEL, Loop, state_at
 from experiments.chapter6.settings import settings_table
 from experiments.chapter6.study import Mode, read_study
-from experiments.expected_figures import differences
 from trms_cli.models.discretisation import discretise
 
 
@@ -97,13 +95,6 @@ class TestClaims:
                 equality = feasible_states.feasible["equality", horizon]
                 assert equality.sum() <= feasible_states.feasible["quasi_infinite", horizon].sum()
             assert feasible_states.feasible["equality", study.horizons[-1]].mean() > 0
-
-
-@pytest.mark.slow
-def test_the_quick_study_is_what_was_recorded(expected):
-    study = read_study(quick=True)
-    figures = figures_of(compute(study, 1, lambda part: None))
-    assert differences(figures, expected["quick"], study.tolerances) == []
 
 
 class TestPage:

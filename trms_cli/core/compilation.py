@@ -11,7 +11,6 @@ import ctypes
 import functools
 import hashlib
 import os
-import shlex
 import shutil
 import subprocess
 import sys
@@ -35,7 +34,6 @@ from trms_cli.core.arrays import FloatArray
 COMPILER_FLAGS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off")
 #: Of C that is written by hand: short, and full of loops.
 _OF_LOOPS = ("-O2", "-ftree-vectorize", *COMPILER_FLAGS[1:])
-_OWN_FLAGS = "TRMS_CFLAGS"  # more flags, after ours
 _ENVIRONMENT_SWITCH = "TRMS_COMPILE"  # "0" turns compilation off
 #: s that a compiler may take before somebody at a terminal is told.
 _LONG = 1.0
@@ -154,7 +152,7 @@ def build_library(
         library.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
             source, binary = write(Path(scratch)), Path(scratch) / library.name
-            command = [program, *_all(flags), "-o", str(binary), str(source), "-lm"]
+            command = [program, *flags, "-o", str(binary), str(source), "-lm"]
             with _saying(name):
                 subprocess.run(command, check=True, capture_output=True)
             os.replace(binary, library)
@@ -191,13 +189,8 @@ def _place(name: str, content: Iterable[str], flags: Sequence[str]) -> Path | No
     program = compiler()
     if program is None:
         return None
-    key = hashlib.sha256("\n".join([*content, ca.__version__, program, *_all(flags)]).encode())
+    key = hashlib.sha256("\n".join([*content, ca.__version__, program, *flags]).encode())
     return cache_folder() / f"{name}_{key.hexdigest()[:32]}.so"
-
-
-def _all(flags: Sequence[str]) -> list[str]:
-    """Flags, and those that whoever starts the program adds."""
-    return [*flags, *shlex.split(os.environ.get(_OWN_FLAGS, ""))]
 
 
 class BufferedFunction:
