@@ -128,7 +128,7 @@ class TestModels:
         ],
     )
     def test_the_rig_stays(self, rig, trms, tmp_path, words):
-        closed = ("controller=newton_mpc", "observer=ukf")
+        closed = ("controller=lqr", "observer=ukf")
         trms("run", "--from", "rig", *closed, *words, *QUICK, "out=new")
         then, now = config(rig), config(tmp_path / "new" / "run.mcap")
         assert now["plant"] == then["plant"] and now["model"] != then["model"]

@@ -49,7 +49,7 @@ def test_nothing_overlaps_is_cut_or_faint(site: Path, tab: Any, scheme: str) -> 
     assert len(files) > 80
     if (
         scheme == "dark"
-    ):  # boxes are where they are in the light; colours are of kinds, not of pages
+    ):  # boxes are where they are in the light
         files = files[::4]
     wrong = {str(f.relative_to(site)): found for f in files if (found := audit(page, f, messages))}
     assert wrong == {}
