@@ -11,6 +11,7 @@ import ctypes
 import functools
 import hashlib
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -35,6 +36,7 @@ COMPILER_FLAGS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off")
 #: Of C that is written by hand: short, and full of loops.
 _OF_LOOPS = ("-O2", "-ftree-vectorize", *COMPILER_FLAGS[1:])
 _ENVIRONMENT_SWITCH = "TRMS_COMPILE"  # "0" turns compilation off
+_MORE_FLAGS = "TRMS_CFLAGS"
 #: s that a compiler may take before somebody at a terminal is told.
 _LONG = 1.0
 #: Functions that a process keeps at hand; each may be that of many runs.
@@ -152,7 +154,7 @@ def build_library(
         library.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
             source, binary = write(Path(scratch)), Path(scratch) / library.name
-            command = [program, *flags, "-o", str(binary), str(source), "-lm"]
+            command = [program, *_with_more(flags), "-o", str(binary), str(source), "-lm"]
             with _saying(name):
                 subprocess.run(command, check=True, capture_output=True)
             os.replace(binary, library)
@@ -189,8 +191,14 @@ def _place(name: str, content: Iterable[str], flags: Sequence[str]) -> Path | No
     program = compiler()
     if program is None:
         return None
-    key = hashlib.sha256("\n".join([*content, ca.__version__, program, *flags]).encode())
+    words = [*content, ca.__version__, program, *_with_more(flags)]
+    key = hashlib.sha256("\n".join(words).encode())
     return cache_folder() / f"{name}_{key.hexdigest()[:32]}.so"
+
+
+def _with_more(flags: Sequence[str]) -> list[str]:
+    """Flags, and those of whoever starts the program."""
+    return [*flags, *shlex.split(os.environ.get(_MORE_FLAGS, ""))]
 
 
 class BufferedFunction:
