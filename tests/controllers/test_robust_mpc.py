@@ -125,7 +125,7 @@ class TestOnline:
     @pytest.mark.slow
     def test_a_matrix_for_each_vertex(self) -> None:
         controller = ONLINE(lyapunov="parameter_dependent")
-        ran = close_loop(controller, BOTH, STILL, 4.0, x0=started(-0.3, -0.15))
+        ran = close_loop(controller, BOTH, STILL, 8.0, x0=started(-0.65, -0.35))
         assert np.abs(ran.angles[-10:]).max() < 0.05
 
 
