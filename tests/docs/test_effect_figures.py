@@ -30,8 +30,8 @@ def test_a_figure_is_small_and_the_same_each_time(tmp_path):
 
 
 @pytest.mark.slow
-def test_each_third_figure_draws(tmp_path):
-    for path in draw_all(tmp_path, list(FIGURES)[::3]):
+def test_all_figures_draw(tmp_path):
+    for path in draw_all(tmp_path):
         assert path.read_bytes().startswith(PNG)
         assert path.stat().st_size < 60_000
 

@@ -115,10 +115,9 @@ def _find(question: Query, tell: Tell) -> QueryResult:
         more = index.more_names()
         condition = translate_filter(question.filter, more)
         within = Sql(f"({condition.text}) AND {scope.text}", condition.values + scope.values)
-        columns = {
-            name: _column(name, more, "--columns")
-            for name in expanded(question.columns or ("*",), index.more_names(scope))
-        }
+        asked = question.columns or ("*",)
+        of_these = index.more_names(scope) if any(name.endswith("*") for name in asked) else ()
+        columns = {name: _column(name, more, "--columns") for name in expanded(asked, of_these)}
         units = index.units(within)
         _, order = _column(question.sort, more, "--sort")
         runs = index.select(
