@@ -13,22 +13,10 @@ SETTINGS = ["controller=newton_mpc", "observer=ukf", "ref=square", "sim.duration
 WITHOUT_ANY = 0.293
 #: Effects that are chosen for the fast run: a sensor with memory, a noise-driven state.
 FAST = {"pitch_sensor_delay", "yaw_disturbance"}
-#: Of two effects that differ in their axis or rotor alone, the second of these is tried.
-TWINS = {"yaw": "pitch", "main": "tail"}
-
-
-def _has_twin(name: str) -> bool:
-    side, _, law = name.partition("_")
-    return f"{TWINS.get(side)}_{law}" in NAMES
 
 
 @pytest.mark.parametrize(
-    "tested",
-    [
-        pytest.param(name, marks=() if name in FAST else pytest.mark.slow)
-        for name in NAMES
-        if name in FAST or not _has_twin(name)
-    ],
+    "tested", [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in NAMES]
 )
 def test_rig_and_model_with_the_effect_track(rig, tested):
     experiment, effects = composed(*SETTINGS), {tested: rig.effect(tested)}
