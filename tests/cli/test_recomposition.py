@@ -71,7 +71,7 @@ def test_equals_composing_afresh(known, data):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("choices", CHOICES, ids=" ".join)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(data=st.data())
 def test_equals_composing_afresh_for_many(known, choices, data):
     _is_equal(known, choices, data)

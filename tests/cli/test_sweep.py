@@ -399,7 +399,7 @@ def test_a_worker_of_a_cluster_is_killed(started, tmp_path, begun, plugins, word
 
 
 @pytest.mark.slow
-def test_hundreds_of_runs(trms, begun):
-    result = trms("run", "-m", *SHORT, "seed=range(300)", "out=s")
-    assert "300 of 300 runs done" in result.stdout
-    assert begun() == Counter(map(str, range(300)))
+def test_a_thousand_runs(trms, begun):
+    result = trms("run", "-m", *SHORT, "seed=range(1000)", "out=s")
+    assert "1000 of 1000 runs done" in result.stdout
+    assert begun() == Counter(map(str, range(1000)))

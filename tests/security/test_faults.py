@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-_KILLS = 12
+_KILLS = 20
 #: Simulated seconds of a run that is killed: it takes some seconds.
 _LONG = 2000
 
