@@ -29,7 +29,7 @@ from trms_cli.core.arrays import FloatArray
 
 #: Of code that follows from a model: long, mostly without loops, and new with each effect. More
 #: than -O1 takes twice the time, and makes closed loops no faster. ``-ffp-contract=off`` keeps
-#: every operation as it is written, so that adding a term that is zero leaves all bits as they were;
+#: every operation as it is written: adding a term that is zero leaves all bits as they were, and
 #: any level of optimisation gives the same numbers. No ``-march=native``: a cache folder may be
 #: shared by the machines of a cluster.
 COMPILER_FLAGS = ("-O1", "-fPIC", "-shared", "-ffp-contract=off")
