@@ -38,7 +38,8 @@ exclude_patterns = [
 ]
 
 # Markdown as code hosts render it; headings are link targets by the same rule as there.
-myst_enable_extensions = ["strikethrough"]
+myst_enable_extensions = ["strikethrough", "dollarmath"]
+myst_dmath_allow_digits = False  # a dollar beside a digit is money
 myst_heading_anchors = 4
 myst_links_external_new_tab = False
 
@@ -69,6 +70,7 @@ napoleon_use_rtype = False
 python_use_unqualified_type_names = True
 add_module_names = False
 
+html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "trms"
 html_favicon = "_static/rig.svg"

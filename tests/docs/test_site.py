@@ -106,6 +106,15 @@ def test_all_that_is_fetched_is_there_and_nothing_is_from_elsewhere(
         assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", text), file.name
 
 
+def test_formulas_of_the_lessons_are_set_and_not_shown_as_they_are_typed(site: Path) -> None:
+    for lesson in (ROOT / "docs" / "course").glob("*.ipynb"):
+        cells = json.loads(lesson.read_text(encoding="utf-8"))["cells"]
+        prose = "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
+        typed = re.findall(r"(\$\$?)[^$]+\1", prose)
+        page = (site / "course" / f"{lesson.stem}.html").read_text(encoding="utf-8")
+        assert page.count("<math") == len(typed) > 0, lesson.name
+
+
 def test_every_page_is_reached_from_the_front_page(site: Path, pages: dict[Path, Read]) -> None:
     seen, waiting = set(), [site / "index.html"]
     while waiting:

@@ -6,6 +6,7 @@
 `commands`          a reference page a command, from its help
 `configuration`     a reference page a group of options, from the YAML files
 `formats`           the schemas that the code names
+`formulas`          MathML for what stands between dollars
 `interface`         the Python reference: protocols, base classes, library functions
 `origins`           what made the tables and pictures of a page, and at which revision
 ==================  ================================================================
@@ -21,12 +22,13 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from . import commands, configuration, formats, interface, navigation, origins, sources
+from . import commands, configuration, formats, formulas, interface, navigation, origins, sources
 from .pages import write_pages
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Sphinx's entry point."""
+    app.add_html_math_renderer("mathml", (formulas.write, None), (formulas.write, None))
     app.connect("builder-inited", _generate)
     app.connect("env-get-outdated", navigation.always_read)
     app.connect("source-read", _complete)
