@@ -6,6 +6,7 @@
 `commands`          a reference page a command, from its help
 `configuration`     a reference page a group of options, from the YAML files
 `formats`           the schemas that the code names
+`flags`             what is typed with dashes, kept in one line
 `formulas`          MathML for what stands between dollars
 `interface`         the Python reference: protocols, base classes, library functions
 `origins`           what made the tables and pictures of a page, and at which revision
@@ -22,7 +23,17 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from . import commands, configuration, formats, formulas, interface, navigation, origins, sources
+from . import (
+    commands,
+    configuration,
+    flags,
+    formats,
+    formulas,
+    interface,
+    navigation,
+    origins,
+    sources,
+)
 from .pages import write_pages
 
 
@@ -33,6 +44,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("env-get-outdated", navigation.always_read)
     app.connect("source-read", _complete)
     app.connect("doctree-read", navigation.mark_cards)
+    app.connect("doctree-read", flags.keep_whole)
     app.connect("autodoc-process-docstring", interface.hide_colon, priority=400)
     app.connect("autodoc-process-docstring", interface.show_colon, priority=600)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
