@@ -2,6 +2,7 @@
 
 import json
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 
 from trms_cli.composition import composer, hydra_composition
 from trms_cli.composition.composer import Composer, compose
+from trms_cli.composition.overrides import read_request
 from trms_cli.core.errors import TrmsError
 
 CHOICES = [
@@ -80,8 +82,13 @@ def test_equals_composing_afresh_for_many(known, choices, data):
 def _is_equal(known, choices, data):
     values = data.draw(st.lists(VALUES, max_size=4))
     words = data.draw(st.permutations([*choices, *values]))
-    again, afresh = _outcome(lambda: known.compose(words)), _outcome(lambda: compose(words))
+    again, afresh = _outcome(lambda: known.compose(words)), _outcome(lambda: _afresh(known, words))
     assert again == afresh
+
+
+def _afresh(known, words):
+    """By Hydra alone, without what `known` has kept."""
+    return known.from_start(read_request(words))
 
 
 @pytest.mark.parametrize(
@@ -109,11 +116,33 @@ def test_a_configuration_is_the_caller_s_own(known):
     first = known.compose(words)
     first.config["sim"]["duration"] = -1.0
     first.config["plant"]["model"]["name"] = "spoilt"
-    again, afresh = known.compose(words), compose(words)
+    again, afresh = known.compose(words), _afresh(known, words)
     assert json.dumps(again.config) == json.dumps(afresh.config)
     assert again.yaml == afresh.yaml
     # the rig follows the model that is varied
     assert again.config["plant"]["model"]["parameters"] == {"k_g": 0.123}
+
+
+def test_a_second_call_composes_the_same_options_no_more(monkeypatch):
+    compose(["controller=pid", "seed=1"])
+    monkeypatch.setattr(hydra_composition, "compose_by_hydra", None)
+    assert compose(["controller=pid", "seed=2"]).config["seed"] == 2
+
+
+def test_a_file_or_folder_of_the_user_s_is_read_again(tmp_path, monkeypatch):
+    """As in a notebook, where one is edited between two calls, or the folder changed."""
+    option = tmp_path / "ref" / "mine.yaml"
+    option.parent.mkdir()
+    for last in (1.0, 2.0):
+        option.write_text(f"_target_: trms_cli.references.step.Step\nfinal: {last}\n", "utf-8")
+        assert compose(["ref=mine"], config_dirs=(tmp_path,)).config["ref"]["final"] == last
+    for name in ("first", "second"):
+        place = tmp_path / name
+        place.mkdir()
+        (place / "fit.yaml").write_text("{}\n", "utf-8")
+        monkeypatch.chdir(place)
+        path = compose(["model=fit.yaml"]).config["model"]["path"]
+        assert Path(path).resolve() == (place / "fit.yaml").resolve()
 
 
 def test_what_is_kept_is_bounded(monkeypatch):
@@ -135,4 +164,4 @@ def test_a_tenth_of_the_time(known):
             make([*words, f"seed={seed}"])
         return (time.process_time() - begin) / times
 
-    assert cost(known.compose, 50) < 0.1 * cost(compose, 3)
+    assert cost(known.compose, 50) < 0.1 * cost(lambda words: _afresh(known, words), 3)

@@ -121,7 +121,15 @@ def compose(
 
 
 def compose_request(request: ComposeRequest, primary: str) -> Composition:
-    """Compose what a command line asks for, from the start."""
+    """Compose what a command line asks for.
+
+    From the start where options of the user's own or files are chosen: they may have changed since
+    this process has read them, as in a notebook.
+    """
+    if not request.config_dirs:
+        composer = composer_of(primary, ())
+        if composer.chooses_options_alone(request.overrides):
+            return composer.compose_as_typed(request)
     return Composer(primary, request.config_dirs).from_start(request)
 
 
@@ -161,11 +169,28 @@ class Composer:
         """
         words = tuple(map(present_override, overrides))  # a sweep of an earlier version goes on
         request = ComposeRequest(words, self.config_dirs, show=False, multirun=False)
-        try:
-            composition = self._varied(request)
-        except (_Unusual, TrmsError):
-            composition = self.from_start(request)
+        composition = self.compose_as_typed(request)
         return composition if job is None else replace(composition, job=job)
+
+    def compose_as_typed(self, request: ComposeRequest) -> Composition:
+        """Compose with what is kept of the same choices, where that gives what Hydra would.
+
+        Raises ConfigurationError for the first key that is wrong.
+        """
+        try:
+            return self._varied(request)
+        except (_Unusual, TrmsError):  # Hydra's way tells what is wrong, in its order
+            return self.from_start(request)
+
+    def chooses_options_alone(self, overrides: Sequence[str]) -> bool:
+        """Whether every choice names options that there are, and none a file or a folder."""
+        choices = (parse(text, self._groups) for text in overrides)
+        return all(self._is_value(choice) or self._names_options(choice) for choice in choices)
+
+    def _names_options(self, choice: Override) -> bool:
+        names = checks.plain_names((choice.value or "").replace("[", "").replace("]", ""))
+        options = self._groups.get(choice.key, {}).keys() - {"from_file"}
+        return names is not None and options >= set(names)
 
     def from_start(self, request: ComposeRequest) -> Composition:
         """Compose by Hydra alone."""
@@ -323,7 +348,7 @@ def _missing(keys: Sequence[str]) -> ConfigurationError:
     )
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=32)
 def composer_of(primary: str, config_dirs: tuple[Path, ...]) -> Composer:
     """The one of this process, which keeps what it has composed."""
     return Composer(primary, config_dirs)
