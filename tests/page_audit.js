@@ -3,8 +3,11 @@
 // nowhere. `overlap`: blocks that lie over each other. `faint`: letters below the contrast of WCAG 2
 // AA. `clipped`: letters of a plot that its edge cuts off. `pictures`: those that did not load, or say nothing to who cannot see them.
 () => {
-  const seen = e => { const s = getComputedStyle(e); const r = e.getBoundingClientRect();
-    return s.visibility !== "hidden" && r.width > 0 && r.height > 0 && e.checkVisibility(); };
+  // what is asked of an element again and again, as by each letter inside of it, is reckoned once
+  const once = f => { const kept = new Map(); return e => { if (!kept.has(e)) kept.set(e, f(e)); return kept.get(e); }; };
+  const styled = once(e => getComputedStyle(e));
+  const seen = once(e => { const s = styled(e); const r = e.getBoundingClientRect();
+    return s.visibility !== "hidden" && r.width > 0 && r.height > 0 && e.checkVisibility(); });
   const words = e => `${e.tagName}.${e.className} ${e.textContent.trim().slice(0, 40)}`;
   const wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
   // what is wider than the article and scrolls nowhere
@@ -45,17 +48,17 @@
   const parse = c => { const m = c.match(/[\d.]+/g).map(Number); return [m[0], m[1], m[2], m.length > 3 ? m[3] : 1]; };
   const over = (top, below) => [0, 1, 2].map(i => top[i] * top[3] + below[i] * (1 - top[3])).concat(1);
   const light = c => { const [r, g, b] = c.slice(0, 3).map(v => { v /= 255; return v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; }); return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
-  const behind = e => { const layers = []; for (let x = e; x; x = x.parentElement) { const c = parse(getComputedStyle(x).backgroundColor); if (c[3] > 0) layers.push(c); if (c[3] === 1) break; }
-    return layers.reverse().reduce((below, top) => over(top, below), [255, 255, 255, 1]); };
+  const behind = once(e => { if (!e) return [255, 255, 255, 1]; const c = parse(styled(e).backgroundColor);
+    return c[3] === 1 ? c : over(c, behind(e.parentElement)); });
+  const opacity = once(e => e ? Number(styled(e).opacity) * opacity(e.parentElement) : 1);
   const faint = {};
   const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   for (let n = walk.nextNode(); n; n = walk.nextNode()) {
     const e = n.parentElement;
     if (!n.textContent.trim() || !seen(e) || e.closest("script, style, svg, .visually-hidden, [aria-hidden=true]")) continue;
-    const s = getComputedStyle(e);
-    let opacity = 1; for (let x = e; x; x = x.parentElement) opacity *= Number(getComputedStyle(x).opacity);
-    if (opacity < 0.05) continue;
-    const ground = behind(e), ink = parse(s.color); ink[3] *= opacity;
+    const s = styled(e);
+    if (opacity(e) < 0.05) continue;
+    const ground = behind(e), ink = parse(s.color); ink[3] *= opacity(e);
     const a = light(over(ink, ground)), b = light(ground);
     const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
     const size = parseFloat(s.fontSize), large = size >= 24 || (size >= 18.66 && Number(s.fontWeight) >= 700);

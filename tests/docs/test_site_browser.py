@@ -22,8 +22,8 @@ def tab(browser: Any) -> Iterator[Callable[..., Any]]:
     """Open a tab; what it complains of is in its ``messages``."""
     contexts = []
 
-    def open_(scheme: str = "light", width: int = 1400) -> tuple[Any, list[str]]:
-        context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    def open_(width: int = 1400) -> tuple[Any, list[str]]:
+        context = browser.new_context(viewport={"width": width, "height": 900})
         contexts.append(context)
         page, messages = context.new_page(), list[str]()
         page.on("console", lambda message: messages.append(message.text))
@@ -36,15 +36,15 @@ def tab(browser: Any) -> Iterator[Callable[..., Any]]:
 
 
 def audit(page: Any, file: Path, messages: list[str]) -> list[str]:
-    """What is wrong with a page at every width, in words."""
+    """What is wrong with a page at every width, light and dark, in words."""
     messages.clear()
     page.goto(file.as_uri())
-    return page_audit.audit(page) + [f"console: {message}" for message in messages]
+    wrong = page_audit.audit(page, schemes=("light", "dark"))
+    return wrong + [f"console: {message}" for message in messages]
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_overlaps_is_cut_or_faint(site: Path, tab: Any, scheme: str) -> None:
-    page, messages = tab(scheme)
+def test_nothing_overlaps_is_cut_or_faint(site: Path, tab: Any) -> None:
+    page, messages = tab()
     files = [file for file in sorted(site.rglob("*.html")) if site / "source" not in file.parents]
     assert len(files) > 80
     wrong = {str(f.relative_to(site)): found for f in files if (found := audit(page, f, messages))}
@@ -56,13 +56,19 @@ def test_the_audit_sees_what_is_wrong(tab: Any, tmp_path: Path) -> None:
     file = tmp_path / "poor.html"
     file.write_text(
         "<meta charset=utf-8><body style='background:#fff'><article style='width:300px'>"
-        "<p style='color:#bbb'>faint</p><table><td><div style='width:2000px'>wide</div></table>"
+        "<style>@media (prefers-color-scheme: dark) {.night {color: #333}}</style>"
+        "<p style='color:#bbb'>faint</p>"
+        "<p style='background:#000;color:#fff'><b class=night>at night</b></p>"
+        "<table><td><div style='width:2000px'>wide</div></table>"
         "<p style='height:1em'>under<p style='margin-top:-2.2em'>over</article><img src=none.png>",
         encoding="utf-8",
     )
     found = "\n".join(audit(page, file, messages))
     for what in ("wide", "cut", "overlap", "faint", "pictures", "console"):
         assert what in found, what
+    assert [line.split(":")[0] for line in found.splitlines() if "at night" in line] == [
+        f"{width} px, dark" for width in page_audit.WIDTHS
+    ]
 
 
 def test_the_side_bar_has_five_parts_that_unfold(site: Path, tab: Any) -> None:
