@@ -80,7 +80,7 @@ def simulate(scene: Scene, effects: dict[str, Effect]) -> Run:
     small = STEP / SUBSTEPS
     forward = BufferedFunction(discretise(_WithoutPath(model), small).step)
     beneath = BufferedFunction(discretise(base, small).step)
-    mobility = _mobility(base)
+    mobility = BufferedFunction(_mobility(base), compile=False)
     noise = _noise(model, len(command))
     x = model.rest()
     for name, value in scene.start.items():
@@ -95,7 +95,7 @@ def simulate(scene: Scene, effects: dict[str, Effect]) -> Run:
             free = beneath.evaluate(x[: base.n_x], reached, p[: len(base.parameters)], w)[0].copy()
             x = forward.evaluate(x, reached, p, w)[0].copy()
             arriving.append(reached)
-            moved = np.asarray(mobility(x[: base.n_x], p[: len(base.parameters)])).ravel()
+            moved = mobility.evaluate(x[: base.n_x], p[: len(base.parameters)])[0]
             for value, (part, (momentum, _)) in zip(moved, _OF_PART.items(), strict=True):
                 row = base.state_index(momentum)
                 torque[part].append(float((x[row] - free[row]) / small / value))

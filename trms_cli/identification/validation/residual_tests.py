@@ -85,20 +85,20 @@ def moment_test(
     """
     series = [past] if isinstance(past, np.ndarray) else list(past)
     steps = np.asarray(lags, dtype=np.int64)
-    a = present - np.nanmean(present) if np.any(~np.isnan(present)) else present
-    columns = [_shifted(_centred(z), int(k)) for z in series for k in steps]
-    z = np.column_stack(columns)
-    v = a[:, None] * z
-    complete = ~np.isnan(v).any(axis=1)
-    v, z, a = v[complete], z[complete], a[complete]
-    n, m = v.shape
+    a = _centred(present)
+    z = np.array([_shifted(past, int(k)) for past in map(_centred, series) for k in steps])
+    v = a * z
+    complete = ~np.isnan(v).any(axis=0)
+    if not complete.all():
+        v, z, a = v[:, complete], z[:, complete], a[complete]
+    m, n = v.shape
     all_lags = np.tile(steps, len(series))
     if n < _SAMPLES_PER_LAG * max(m, 2):
         return _not_made(all_lags)
-    mean = v.mean(axis=0)
-    second = v.T @ v / n
+    mean = v.mean(axis=1)
+    second = v @ v.T / n
     spread = np.sqrt(np.diag(second))
-    norms = np.sqrt(np.mean(a**2) * np.mean(z**2, axis=0))
+    norms = np.sqrt(np.mean(a**2) * np.mean(z**2, axis=1))
     varying = (spread > 0) & (norms > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         correlations, errors = mean / norms, spread / norms / np.sqrt(n)
@@ -368,7 +368,7 @@ def _of_channel(
     far: Sequence[int],
 ) -> list[ResidualTest]:
     near = range(1, lags + 1)
-    centred = residual - np.nanmean(residual) if np.any(~np.isnan(residual)) else residual
+    centred = _centred(residual)
     square, _ = whiten_residual(centred**2, lags)
     with_output, _ = whiten_residual(_centred(output) * residual, lags)
 
