@@ -1,6 +1,7 @@
 """For all tests: what they find the same wherever and however they are started."""
 
 import atexit
+import gc
 import os
 import shutil
 import signal
@@ -30,3 +31,9 @@ settings.load_profile("no deadline")
 # what the one that started it ignores: the programs that tests interrupt would never notice.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_finish() -> None:
+    """Thousands of tests stay to the end: the collector of garbage need not look through them."""
+    gc.collect()
+    gc.freeze()
