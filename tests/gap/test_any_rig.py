@@ -96,6 +96,33 @@ def recording(model, u: np.ndarray, y: np.ndarray, noise: list[float]) -> Datase
     )  # fmt: skip
 
 
+def drive_recording(seconds: float, friction: float, offset: float, seed: int) -> Dataset:
+    """An industrial drive in its position loop, from rest to rest; a constant force acts on it."""
+    random, samples, fine = np.random.default_rng(seed), round(seconds / 0.005), 5
+    goals = np.zeros(samples)
+    place, k = 0.0, 0
+    while k < samples:
+        goal, moving = random.uniform(-0.12, 0.12), int(random.integers(160, 400))
+        s = np.linspace(0.0, 1.0, moving)
+        path = place + (goal - place) * s**3 * (10 - 15 * s + 6 * s**2)
+        resting = np.full(int(random.integers(20, 120)), goal)
+        move = np.concatenate([path, resting])[: samples - k]
+        goals[k : k + len(move)] = move
+        place, k = goal, k + len(move)
+    x, v, before, rate, h = 0.0, 0.0, 0.0, 0.0, 0.005 / fine
+    u, y = np.zeros(samples), np.zeros(samples)
+    for k, goal in enumerate(goals):
+        y[k] = 1e-6 * np.round(x / 1e-6)
+        rate, before = 0.5 * rate + 0.5 * (y[k] - before) / 0.005, y[k]
+        u[k] = np.clip(40.0 * (goal - y[k]) - 4.0 * rate, -10.0, 10.0)
+        for _ in range(fine):
+            free = v + h * (35.4 * u[k] + offset - 209.0 * v) / 92.0
+            last, v = v, np.sign(free) * max(abs(free) - h * friction / 92.0, 0.0)
+            x += h * (v + last) / 2
+    drive = replace(recording(SERVO, u, y[:, None], [1e-6]), sample_time=0.005)
+    return replace(drive, time=0.005 * np.arange(samples))
+
+
 def answer_of(model, dataset: Dataset, *candidates: str, effort="quick"):
     problem = GapProblem(
         model=model, model_name=model.name, datasets=(dataset,), effort=effort, advise=False,
@@ -122,6 +149,18 @@ def test_friction_of_a_servo_drive_is_told_in_newton():
 def test_a_servo_drive_without_a_gap_has_no_effect():
     answer = answer_of(SERVO, servo_recording(60.0, 0.0), effort="normal")
     assert answer.verdict in ("no_gap", "parameters_only")
+
+
+@pytest.mark.slow
+def test_friction_is_named_where_a_constant_force_beside_it_makes_others_fit_better():
+    """A dead zone with a lag looks more like friction with an offset than friction alone does."""
+    drive = ServoDrive(parameters={"M": 93.0, "K": 35.0, "F_v": 200.0})
+    answer = answer_of(drive, drive_recording(25.0, 21.0, -2.6, seed=100), effort="normal")
+    best = answer.causes[0]
+    assert set(best.effects) == {"carriage_coulomb_friction", "current_bias"}
+    assert best.probability > 0.8
+    assert best.parameters["carriage_coulomb_friction.torque"].value == pytest.approx(21.0, rel=0.1)
+    assert best.parameters["current_bias.bias"].value == pytest.approx(-2.6 / 35.4, rel=0.1)
 
 
 @pytest.mark.slow

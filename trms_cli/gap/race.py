@@ -322,6 +322,12 @@ class _Search:
         entries = self._each(
             lambda place: self._pair(place, singles), pairs, (0.75, 0.85), "two at once"
         )
+        entries += self._each(
+            self._friction_with_force,
+            self._hidden(),
+            (0.85, 0.85),
+            "friction with a constant force",
+        )
         best = max(alone, key=lambda e: e.fit.score)
         first = max(entries, key=lambda e: e.fit.score, default=best)
         if first.fit.score > best.fit.score + _ENTRANCE:
@@ -437,13 +443,59 @@ class _Search:
         """Effects whose traces point at what the best leaves over."""
         raced_names = {frozenset(entry.names) for entry in entries}
         places = self._beside(best, best.names)
-        is_dry = any(c.effect.overrides("impulse") for c in best.structure.effects)
+        is_dry = _is_dry(best)
 
         def is_worth_it(place: _Place) -> bool:
-            is_constant = isinstance(self._candidates[place.name].effect, InputBias)
-            return place.promise > _ENTRANCE or (is_dry and is_constant)
+            return place.promise > _ENTRANCE or (is_dry and self._is_constant(place.name))
 
         return [p for p in places if is_worth_it(p) and p.names not in raced_names]
+
+    def _hidden(self) -> list[tuple[str, str]]:
+        """Dry frictions, each with a constant force.
+
+        Friction holds against it. Without it friction falls behind others that look like both, or
+        is not found at all: no partners would be looked for beside it.
+        """
+        if self._refit.structure.problem.model.bench_sizes:
+            return []
+        dry = [n for n, c in self._candidates.items() if c.effect.overrides("impulse")]
+        return [
+            (name, force) for name in dry for force in filter(self._is_constant, self._candidates)
+        ]
+
+    def _friction_with_force(self, names: tuple[str, str]) -> FittedModel | None:
+        """From the best of many sizes: where the model sticks hangs on both."""
+        friction, force = (self._candidates[name] for name in names)
+        structure = self._refit.structure.with_effects(friction, force)
+        torques, forces = np.abs(friction.variants[:, 0]), np.abs(force.variants[:, 0])
+        around = np.geomspace(forces.min() / 2, forces.max(), _FORCES)
+        others = self._grid(friction)[0]
+        points = [
+            structure.point(
+                others | {friction.free[0].name: size, force.free[0].name: other},
+                self._refit.fit.starts,
+            )
+            for size in np.geomspace(torques.min(), torques.max(), _FRICTIONS)
+            for other in (0.0, *around, *-around)
+        ]
+
+        def score(point: tuple[FloatArray, FloatArray]) -> float:
+            centres, gains = self._refit.centres, self._refit.fit.gains
+            entry = structure.fit(self._middle, [point], centres=centres, gains=gains, iterations=0)
+            return entry.fit.score
+
+        def search() -> FittedModel:
+            best = sorted(points, key=score, reverse=True)[:_SEARCHED]
+            return _fit_from_points(structure, self._refit, self._middle, best)
+
+        key = "pair " + "+".join(structure.names)
+        entry = self._once(key, structure, search)
+        if entry.fit.score < self._least:
+            return None
+        return self._once("final " + key, structure, entry.in_own_metric)
+
+    def _is_constant(self, name: str) -> bool:
+        return isinstance(self._candidates[name].effect, InputBias)
 
     def _exchanges(
         self, best: FittedModel, entries: Sequence[FittedModel], signs: Sequence[Signatures]
@@ -487,9 +539,8 @@ class _Search:
         signs = [project_traces(base, self._traces), project_traces(_tightened(base), self._traces)]
         others = {n: c for n, c in self._candidates.items() if n not in but_for}
         names = short_list(signs, others, self._effort.pairs)
-        if any(c.effect.overrides("impulse") for c in base.structure.effects):
-            constant = (n for n, c in others.items() if isinstance(c.effect, InputBias))
-            names = list(dict.fromkeys((*names, *constant)))
+        if _is_dry(base):
+            names = list(dict.fromkeys((*names, *filter(self._is_constant, others))))
         return [
             _Place(base, max(signs, key=lambda sign: sign.best(name)[0]), name) for name in names
         ]
@@ -647,6 +698,11 @@ def _fit_from_points(
     )
 
 
+def _is_dry(entry: FittedModel) -> bool:
+    """Whether an effect of a fit is dry friction."""
+    return any(candidate.effect.overrides("impulse") for candidate in entry.structure.effects)
+
+
 def _fit_beside(
     structure: ModelStructure, base: FittedModel, values: Mapping[str, float]
 ) -> FittedModel:
@@ -666,6 +722,9 @@ def _points(
     ]
 
 
+#: Sizes of dry friction, and of a constant force to either side, that a search for both looks at;
+#: and how many of these points it begins from.
+_FRICTIONS, _FORCES, _SEARCHED = 9, 6, 4
 #: How many frequencies a search for a mode begins at, besides the most promising one.
 _FREQUENCIES = 2
 
