@@ -467,7 +467,9 @@ class _Search:
         """From the best of many sizes: where the model sticks hangs on both."""
         friction, force = (self._candidates[name] for name in names)
         structure = self._refit.structure.with_effects(friction, force)
-        torques, forces = np.abs(friction.variants[:, 0]), np.abs(force.variants[:, 0])
+        torques, forces = (np.abs(c.variants[:, 0]) for c in (friction, force))
+        if not (torques.min() > 0 and forces.min() > 0):  # of an effect of the user's own
+            return None
         around = np.geomspace(forces.min() / 2, forces.max(), _FORCES)
         others = self._grid(friction)[0]
         points = [
