@@ -322,12 +322,14 @@ class _Search:
         entries = self._each(
             lambda place: self._pair(place, singles), pairs, (0.75, 0.85), "two at once"
         )
-        entries += self._each(
-            self._friction_with_force,
+        words = "friction with a constant force"
+        hidden = self._each(
+            lambda names: self._friction_with_force(names, singles),
             self._hidden(),
             (0.85, 0.85),
-            "friction with a constant force",
+            words,
         )
+        entries = better_of(entries, hidden)
         best = max(alone, key=lambda e: e.fit.score)
         first = max(entries, key=lambda e: e.fit.score, default=best)
         if first.fit.score > best.fit.score + _ENTRANCE:
@@ -451,20 +453,27 @@ class _Search:
         return [p for p in places if is_worth_it(p) and p.names not in raced_names]
 
     def _hidden(self) -> list[tuple[str, str]]:
-        """Dry frictions, each with a constant force.
+        """Dry frictions of one size (rivals come in their stead), each with a constant force.
 
         Friction holds against it. Without it friction falls behind others that look like both, or
         is not found at all: no partners would be looked for beside it.
         """
         if self._refit.structure.problem.model.bench_sizes:
             return []
-        dry = [n for n, c in self._candidates.items() if c.effect.overrides("impulse")]
+        dry = [
+            name
+            for name, candidate in self._candidates.items()
+            if candidate.effect.overrides("impulse") and len(candidate.free) == 1
+        ]
         return [
             (name, force) for name in dry for force in filter(self._is_constant, self._candidates)
         ]
 
-    def _friction_with_force(self, names: tuple[str, str]) -> FittedModel | None:
-        """From the best of many sizes: where the model sticks hangs on both."""
+    def _friction_with_force(
+        self, names: tuple[str, str], singles: Mapping[str, FittedModel]
+    ) -> FittedModel | None:
+        """From the best of many sizes, for where the model sticks hangs on both, and from the fit
+        of the friction alone."""
         friction, force = (self._candidates[name] for name in names)
         structure = self._refit.structure.with_effects(friction, force)
         torques, forces = (np.abs(c.variants[:, 0]) for c in (friction, force))
@@ -488,9 +497,12 @@ class _Search:
 
         def search() -> FittedModel:
             best = sorted(points, key=score, reverse=True)[:_SEARCHED]
+            if alone := singles.get(names[0]):
+                starts = alone.fit.starts[:, : self._refit.centres.shape[1]]
+                best.append(structure.point({**alone.values, force.free[0].name: 0.0}, starts))
             return _fit_from_points(structure, self._refit, self._middle, best)
 
-        key = "pair " + "+".join(structure.names)
+        key = "friction " + "+".join(structure.names)
         entry = self._once(key, structure, search)
         if entry.fit.score < self._least:
             return None
@@ -726,7 +738,7 @@ def _points(
 
 #: Sizes of dry friction, and of a constant force to either side, that a search for both looks at;
 #: and how many of these points it begins from.
-_FRICTIONS, _FORCES, _SEARCHED = 9, 6, 4
+_FRICTIONS, _FORCES, _SEARCHED = 12, 10, 8
 #: How many frequencies a search for a mode begins at, besides the most promising one.
 _FREQUENCIES = 2
 
