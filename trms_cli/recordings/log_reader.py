@@ -199,23 +199,137 @@ class LoggedRun:
         return self.tables[topic]
 
 
-@dataclass
-class _Content:
-    """What has been gathered from the records so far."""
+#: Given a topic and a column of it: whether the column is wanted.
+Wanted = Callable[[str, str], bool]
 
-    topics: Collection[str] | None
-    where: str
-    room: int  # bytes that chunks may still unpack to
-    kept_room: int  # bytes of messages that may still be kept
-    library: str = ""
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    times: dict[int, list[int]] = field(default_factory=dict)
-    messages: dict[int, list[bytes]] = field(default_factory=dict)
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-    finished: bool = False
+
+@dataclass
+class _Rows:
+    """Messages of a channel that are not decoded yet."""
+
+    topic: str
+    kinds: dict[str, str]  # JSON type of each column that is wanted
+    times: list[int] = field(default_factory=list)
+    messages: list[bytes] = field(default_factory=list)
+
+
+class _Content:
+    """What the records of a log say, gathered one after another.
+
+    ``wanted``: decides which columns are kept. ``size``: of the file, which limits hang on.
+    """
+
+    def __init__(self, wanted: Wanted, size: int = 0) -> None:
+        self.library = ""  # names the program that wrote the file
+        self.metadata: dict[str, dict[str, str]] = {}  # the last record of each name so far
+        self.attachments: dict[str, bytes] = {}
+        self.units: dict[str, dict[str, str]] = {}  # of the wanted columns, by topic
+        self.finished = False  # the file has its end; nothing comes after it
+        self.problems: list[str] = []  # what was damaged, as sentences
+        self.topics: dict[int, str] = {}  # of all channels
+        self._column_filter, self._size = wanted, size
+        self._schemas: dict[int, Schema] = {}
+        self._rows: dict[int, _Rows] = {}
+        self._published = 0
+        #: For each chunk its latest log time and publish time [ns]
+        self._progress: list[tuple[int, int]] = []
+        self._renew_room()
+
+    @property
+    def run(self) -> dict[str, str]:
+        """The last `trms.run` record so far."""
+        return self.metadata.get(RUN_METADATA, {})
+
+    @property
+    def of_trms(self) -> bool:
+        """Whether this program wrote the file, as far as has been read."""
+        return bool(self.run) or self.library.startswith("trms")
+
+    def take(self, opcode: int, body: memoryview) -> None:
+        """Gather a record, or note that it is damaged; raises TooMuch."""
+        try:
+            if opcode == Opcode.MESSAGE:
+                self._take_message(body)
+                return
+            stream = ReadDataStream(BytesIO(body))
+            if opcode == Opcode.CHUNK:
+                self._open_chunk(Chunk.read(stream))
+            elif opcode == Opcode.HEADER:
+                self.library = Header.read(stream).library
+            elif opcode == Opcode.METADATA:
+                metadata = Metadata.read(stream)
+                self.metadata[metadata.name] = metadata.metadata
+            elif opcode == Opcode.ATTACHMENT:
+                attachment = Attachment.read(stream)
+                self.attachments[attachment.name] = attachment.data
+            elif opcode == Opcode.SCHEMA:
+                schema = Schema.read(stream)
+                self._schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                self._add_channel(Channel.read(stream))
+        except TooMuch:
+            raise
+        except Exception as error:  # damage shows as any error of the decoders
+            self.problems.append(f"a damaged record was left out ({error})")
+
+    def tables(self, path: Path) -> dict[str, TopicTable]:
+        """Decode what has been gathered, and forget it."""
+        tables, room = {}, cell_limit(self._size)
+        for rows in self._rows.values():
+            topic, times, messages = rows.topic, rows.times, rows.messages
+            rows.times, rows.messages = [], []
+            try:
+                room -= len(times) * len(rows.kinds)
+                if room < 0:
+                    raise ValueError("more numbers than a log of its size has")
+                tables[topic] = table_of(times, messages, rows.kinds, self.units[topic])
+            except (AttributeError, TypeError, ValueError, OverflowError) as error:
+                raise RecordingError(
+                    f"the messages of {topic} are not as trms writes them ({error})",
+                    where=str(path),
+                ) from error
+        self._renew_room()
+        return tables
+
+    def _renew_room(self) -> None:
+        # bytes that chunks may still unpack to, and of messages that may still be kept
+        self._room, self._kept_room = unpacking_limit(self._size), message_limit(self._size)
+
+    def _open_chunk(self, chunk: Chunk) -> None:
+        data = content_of(chunk, self._room)
+        self._room -= len(data)
+        damage = damage_of(chunk, data)
+        if damage:
+            self.problems.append(damage)
+            return
+        for opcode, body, _ in records(memoryview(data)):
+            self.take(opcode, body)
+        self._progress.append((chunk.message_end_time, self._published))
+
+    def _add_channel(self, channel: Channel) -> None:
+        self.topics[channel.id] = channel.topic
+        if channel.message_encoding != "json" or channel.id in self._rows:
+            return
+        schema = self._schemas[channel.schema_id]
+        if schema.name.startswith(VIEWER_SCHEMAS):
+            return  # it is there for viewers, and holds no samples
+        properties = orjson.loads(schema.data)["properties"]
+        columns = {n: p for n, p in properties.items() if self._column_filter(channel.topic, n)}
+        if columns:
+            self.units[channel.topic] = {n: p.get("unit", "") for n, p in columns.items()}
+            kinds = {n: p["type"] for n, p in columns.items()}
+            self._rows[channel.id] = _Rows(channel.topic, kinds)
+
+    def _take_message(self, body: memoryview) -> None:
+        channel_id, _, log_time, publish_time = MESSAGE.unpack_from(body)
+        rows = self._rows.get(channel_id)
+        if rows is not None:
+            self._kept_room -= max(len(body), _LEAST_MESSAGE)
+            if self._kept_room < 0:
+                raise TooMuch("its messages take more memory than a log of its size has")
+            rows.times.append(log_time)
+            rows.messages.append(bytes(body[MESSAGE.size :]))
+            self._published = max(self._published, publish_time)
 
 
 def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedRun:
@@ -226,14 +340,21 @@ def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedR
     """
     path = Path(path)
     data = _read_bytes(path)
-    content = _Content(topics, str(path), unpacking_limit(len(data)), message_limit(len(data)))
-    cells = cell_limit(len(data))
-    _walk(data, content)
-    del data
-    run = content.metadata.get(RUN_METADATA, {})
-    _refuse_newer(run, path)
-    if not run and not content.library.startswith("trms"):
-        names = ", ".join(sorted(c.topic for c in content.channels.values())[:6])
+    content = _Content(lambda topic, column: topics is None or topic in topics, len(data))
+    view = memoryview(data)[len(MCAP0_MAGIC) :]
+    try:
+        for opcode, body, end in records(view):
+            if opcode == Opcode.FOOTER:
+                content.finished = view[end:] == MCAP0_MAGIC
+                break
+            content.take(opcode, body)
+    except TooMuch as error:
+        remedy = data_file.how_to_raise(2 * message_limit())
+        raise RecordingError(str(error), where=str(path), remedy=remedy) from error
+    del data, view
+    _refuse_newer(content.run, path)
+    if not content.of_trms:
+        names = ", ".join(sorted(content.topics.values())[:6])
         raise RecordingError(
             f"this MCAP file is of another program ({content.library or 'unnamed'}"
             f"{'; topics ' + names if names else ''})",
@@ -242,17 +363,17 @@ def read_log(path: Path | str, topics: Collection[str] | None = None) -> LoggedR
         )
     if not content.finished:
         content.problems.append("the file was not finished: the run died, or it was cut off")
-    if not content.channels:
+    if not content.topics:
         content.problems.append(_EMPTY_RUN)
-    score = content.metadata.get(SCORE_METADATA, {})
     with data_file.not_as_written(str(path)):
-        tables = _tables(content, path, cells)
+        tables = content.tables(path)
+    score = content.metadata.get(SCORE_METADATA, {})
     return LoggedRun(
         path=path,
         complete=not content.problems,
-        outcome=run.get("outcome", "died"),
+        outcome=content.run.get("outcome", "died"),
         tables=tables,
-        run=run,
+        run=content.run,
         score={key: _json_value(text) for key, text in score.items()},
         attachments=content.attachments,
         problems=tuple(content.problems),
@@ -296,34 +417,6 @@ def is_mcap(data: bytes, path: Path) -> bool:
     )
 
 
-def _walk(data: bytes, content: _Content) -> None:
-    """Gather all intact records; stop where one is cut off."""
-    for opcode, body, _ in records(memoryview(data)[len(MCAP0_MAGIC) :]):
-        stream = ReadDataStream(BytesIO(body))
-        try:
-            if opcode == Opcode.HEADER:
-                content.library = Header.read(stream).library
-            elif opcode == Opcode.CHUNK:
-                _open_chunk(Chunk.read(stream), content)
-            elif opcode == Opcode.METADATA:
-                metadata = Metadata.read(stream)
-                content.metadata[metadata.name] = metadata.metadata
-            elif opcode == Opcode.ATTACHMENT:
-                attachment = Attachment.read(stream)
-                content.attachments[attachment.name] = attachment.data
-            elif opcode == Opcode.FOOTER:
-                content.finished = data.endswith(MCAP0_MAGIC)
-                return
-            else:
-                _take(opcode, body, content)
-        except TooMuch as error:
-            raise RecordingError(
-                str(error), where=content.where, remedy=data_file.how_to_raise(2 * message_limit())
-            ) from error
-        except Exception as error:  # damage shows as any error of the decoders
-            content.problems.append(f"a damaged record was left out ({error})")
-
-
 def records(data: memoryview) -> Iterator[tuple[int, memoryview, int]]:
     """Yield (opcode, body, where it ends) of each whole record."""
     position, size = 0, len(data)
@@ -334,60 +427,6 @@ def records(data: memoryview) -> Iterator[tuple[int, memoryview, int]]:
             return
         position = start + length
         yield opcode, data[start:position], position
-
-
-def _open_chunk(chunk: Chunk, content: _Content) -> None:
-    data = content_of(chunk, content.room)
-    content.room -= len(data)
-    damage = damage_of(chunk, data)
-    if damage:
-        content.problems.append(damage)
-        return
-    for opcode, body, _ in records(memoryview(data)):
-        _take(opcode, body, content)
-
-
-def _take(opcode: int, body: memoryview, content: _Content) -> None:
-    if opcode == Opcode.MESSAGE:
-        channel_id, _, log_time, _ = MESSAGE.unpack_from(body)
-        if channel_id in content.times:
-            content.kept_room -= max(len(body), _LEAST_MESSAGE)
-            if content.kept_room < 0:
-                raise TooMuch("its messages take more memory than a log of its size has")
-            content.times[channel_id].append(log_time)
-            content.messages[channel_id].append(bytes(body[MESSAGE.size :]))
-    elif opcode == Opcode.SCHEMA:
-        read = Schema.read(ReadDataStream(BytesIO(body)))
-        content.schemas[read.id] = read
-    elif opcode == Opcode.CHANNEL:
-        channel = Channel.read(ReadDataStream(BytesIO(body)))
-        content.channels[channel.id] = channel
-        is_requested = content.topics is None or channel.topic in content.topics
-        schema = content.schemas.get(channel.schema_id)
-        for_viewers = schema is not None and schema.name.startswith(VIEWER_SCHEMAS)
-        if is_requested and not for_viewers and channel.message_encoding == "json":
-            content.times.setdefault(channel.id, [])
-            content.messages.setdefault(channel.id, [])
-
-
-def _tables(content: _Content, path: Path, room: int) -> dict[str, TopicTable]:
-    tables: dict[str, TopicTable] = {}
-    for channel_id, times in content.times.items():
-        channel = content.channels[channel_id]
-        try:
-            schema = orjson.loads(content.schemas[channel.schema_id].data)
-            room -= len(times) * len(schema["properties"])
-            if room < 0:
-                raise ValueError("more numbers than a log of its size has")
-            kinds = {name: one["type"] for name, one in schema["properties"].items()}
-            units = {name: one.get("unit", "") for name, one in schema["properties"].items()}
-            tables[channel.topic] = table_of(times, content.messages[channel_id], kinds, units)
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise RecordingError(
-                f"the messages of {channel.topic} are not as trms writes them ({error})",
-                where=str(path),
-            ) from error
-    return tables
 
 
 def table_of(
@@ -441,9 +480,6 @@ _AT_ONCE = 2**20  # bytes
 #: A record that claims to be longer was not written by a run; nobody waits for its end.
 _LONGEST = 2**28  # bytes
 
-#: Given a topic and a column of it: whether the column is wanted.
-Wanted = Callable[[str, str], bool]
-
 
 @dataclass(frozen=True)
 class LogPiece:
@@ -454,15 +490,7 @@ class LogPiece:
     progress: tuple[tuple[int, int], ...] = ()
 
 
-@dataclass
-class _Rows:
-    """Messages of a channel that are not decoded yet."""
-
-    times: list[int] = field(default_factory=list)
-    messages: list[bytes] = field(default_factory=list)
-
-
-class LogTail:
+class LogTail(_Content):
     """A log that may be growing, or be empty yet. Also a context manager: it closes the file.
 
     ``wanted``: decides which columns are kept, by topic and name; all by default.
@@ -472,31 +500,15 @@ class LogTail:
     """
 
     def __init__(self, path: Path | str, wanted: Wanted = lambda topic, column: True) -> None:
+        super().__init__(wanted)
         self.path = Path(path)
-        self.library = ""  # names the program that wrote the file
-        self.run: dict[str, str] = {}  # the last `trms.run` record so far
-        self.attachments: dict[str, bytes] = {}
-        self.units: dict[str, dict[str, str]] = {}  # of the wanted columns, by topic
-        self.finished = False  # the file has its end; nothing comes after it
-        self.problems: list[str] = []  # what was damaged, as sentences
-        self._column_filter = wanted
         self._offset = 0
-        self._schemas: dict[int, Schema] = {}
-        self._kinds: dict[int, tuple[str, dict[str, str]]] = {}  # topic, JSON type by column
-        self._rows: dict[int, _Rows] = {}
-        self._published = 0
-        self._progress: list[tuple[int, int]] = []
         try:
             self._descriptor = os.open(self.path, os.O_RDONLY | BINARY)
         except FileNotFoundError as error:
             raise data_file.absent(Path(path)) from error
         except OSError as error:
             raise data_file.unreadable(error, self.path) from error
-
-    @property
-    def of_trms(self) -> bool:
-        """Whether this program wrote the file, as far as has been read."""
-        return bool(self.run) or self.library.startswith("trms")
 
     @property
     def config(self) -> str:
@@ -517,13 +529,17 @@ class LogTail:
                 self.finished = data[end : end + len(MCAP0_MAGIC)] == MCAP0_MAGIC
                 size = end if self.finished else size
                 break
-            self._take(opcode, body)
+            try:
+                self.take(opcode, body)
+            except TooMuch as error:
+                self.problems.append(f"a record was left out ({error})")
             size = end
         self._offset += size
         if not size:
             return None
         progress, self._progress = tuple(self._progress), []
-        return LogPiece(self._tables(), progress)
+        tables = {topic: table for topic, table in self.tables(self.path).items() if len(table)}
+        return LogPiece(tables, progress)
 
     def has_writer(self) -> bool | None:
         """Whether a program has the file open for writing; None where the system does not tell.
@@ -581,79 +597,3 @@ class LogTail:
             return os.read(self._descriptor, size)
         except OSError as error:
             raise data_file.unreadable(error, self.path) from error
-
-    def _take(self, opcode: int, body: memoryview) -> None:
-        try:
-            if opcode == Opcode.MESSAGE:
-                self._take_message(body)
-                return
-            stream = ReadDataStream(BytesIO(body))
-            if opcode == Opcode.CHUNK:
-                self._open_chunk(Chunk.read(stream))
-            elif opcode == Opcode.HEADER:
-                self.library = Header.read(stream).library
-            elif opcode == Opcode.METADATA:
-                metadata = Metadata.read(stream)
-                if metadata.name == RUN_METADATA:
-                    self.run = metadata.metadata
-            elif opcode == Opcode.ATTACHMENT:
-                attachment = Attachment.read(stream)
-                self.attachments[attachment.name] = attachment.data
-            elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                self._schemas[schema.id] = schema
-            elif opcode == Opcode.CHANNEL:
-                self._add_channel(Channel.read(stream))
-        except Exception as error:  # damage shows as any error of the decoders
-            self.problems.append(f"a damaged record was left out ({error})")
-
-    def _open_chunk(self, chunk: Chunk) -> None:
-        data = content_of(chunk, _LONGEST)
-        damage = damage_of(chunk, data)
-        if damage:
-            self.problems.append(damage)
-            return
-        for opcode, body, _ in records(memoryview(data)):
-            self._take(opcode, body)
-        self._progress.append((chunk.message_end_time, self._published))
-
-    def _add_channel(self, channel: Channel) -> None:
-        if channel.message_encoding != "json" or channel.id in self._kinds:
-            return
-        schema = self._schemas[channel.schema_id]
-        if schema.name.startswith(VIEWER_SCHEMAS):
-            return  # it is there for viewers, and holds no samples
-        properties = orjson.loads(schema.data)["properties"]
-        columns = {n: p for n, p in properties.items() if self._column_filter(channel.topic, n)}
-        if columns:
-            self.units[channel.topic] = {n: p.get("unit", "") for n, p in columns.items()}
-            self._kinds[channel.id] = channel.topic, {n: p["type"] for n, p in columns.items()}
-            self._rows[channel.id] = _Rows()
-
-    def _take_message(self, body: memoryview) -> None:
-        channel_id, _, log_time, publish_time = MESSAGE.unpack_from(body)
-        rows = self._rows.get(channel_id)
-        if rows is not None:
-            rows.times.append(log_time)
-            rows.messages.append(bytes(body[MESSAGE.size :]))
-            self._published = max(self._published, publish_time)
-
-    def _tables(self) -> dict[str, TopicTable]:
-        """Decode what has been gathered, and forget it."""
-        tables = {}
-        for channel_id, rows in self._rows.items():
-            if not rows.times:
-                continue
-            topic, kinds = self._kinds[channel_id]
-            try:
-                if len(rows.times) * len(kinds) > cell_limit():
-                    raise ValueError(f"more than {cell_limit()} numbers at once")
-                tables[topic] = table_of(rows.times, rows.messages, kinds, self.units[topic])
-            except (AttributeError, TypeError, ValueError, OverflowError) as error:
-                raise RecordingError(
-                    f"the messages of {topic} are not as trms writes them ({error})",
-                    where=str(self.path),
-                ) from error
-            finally:
-                self._rows[channel_id] = _Rows()
-        return tables
