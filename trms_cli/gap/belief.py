@@ -91,8 +91,6 @@ class Features:
     surprises: FloatArray
     #: (k,) array; of free runs of each competitor; those that were not made are the refit's
     errors: FloatArray
-    #: (k + 1, c) array; the same of each channel, of the refit and of each competitor
-    channel_errors: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     #: (k,) array; logarithm of the factor by which each competitor errs more than the refit, in the
     #: channel that suffers most, on the sealed part; NaN where not measured
     harms: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -116,10 +114,6 @@ class Features:
     samples: float = 2e4  #: Number of measured values that were fitted
     #: (k,) array; standard error of each competitor's score, from its scatter over blocks
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
-    strain: float = np.nan  #: Of the refit: nats by which its parameters lie off their priors
-    #: (k,) array; the same of the nominal parameters of each competitor
-    strains: FloatArray = field(default_factory=lambda: np.zeros(0))
-    flexible_error: float = np.nan  #: Of free runs of the flexible competitor
     #: (k, m) array; scores by block
     by_block: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 

@@ -32,8 +32,7 @@ from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
 from trms_cli.gap.sensor_marks import bias_rounding, with_marked_sensors, without_rounded_zeros
 from trms_cli.gap.shrinkage import SealedRuns, farthest_errors, harm
-from trms_cli.models.model import Model, names
-from trms_cli.simulation.rollout import Rollout
+from trms_cli.models.model import names
 
 #: Probability from which a verdict is given.
 _DECIDED = 0.5
@@ -101,22 +100,19 @@ def features_of(
     )
     stray = dict(zip(outputs, reach.tolist(), strict=True))
 
-    def by_channel(model: Model, rollout: Rollout) -> FloatArray:
-        return farthest_errors(runs.errors(model, rollout), floor, stray)
+    def error(errors: FloatArray) -> float:
+        return float(np.fmax.reduce(farthest_errors(errors, floor, stray), initial=np.nan))
 
-    def error(model: Model, rollout: Rollout) -> float:
-        return float(np.fmax.reduce(by_channel(model, rollout), initial=np.nan))
-
-    channels = np.tile(by_channel(refit.model, plain), (len(race.entries) + 1, 1))
-    harms = np.full(len(race.entries), np.nan)
     before = runs.errors(refit.model, plain)
+    refit_error = error(before)
+    errors = np.full(len(race.entries), refit_error)
+    harms = np.full(len(race.entries), np.nan)
     blocks = np.array([e.fit.predictive - refit.fit.predictive for e in race.entries])
     for i, entry in enumerate(race.entries[:_RUN]):
         rollout = entry.structure.windows.rollout
         after = runs.errors(entry.model, rollout)
-        channels[i + 1] = farthest_errors(after, floor, stray)
+        errors[i] = error(after)
         harms[i] = harm(before, after, floor, stray)
-    refit_error, *errors = np.fmax.reduce(channels, axis=1, initial=np.nan).tolist()
     return Features(
         gained=own - float(refit.raw.predictive.sum()),
         behind=float(behinds[0].sum()),
@@ -127,22 +123,16 @@ def features_of(
         surprises=np.array(
             [sum(s.surprise(e.values) for s in e.structure.effects) for e in race.entries]
         ),
-        errors=np.array(errors),
-        channel_errors=channels,
+        errors=errors,
         harms=harms,
         begins=np.array([_unlikely_beginnings(e) for e in race.entries]),
-        raw_error=error(refit.structure.problem.model, plain),
+        raw_error=error(runs.errors(refit.structure.problem.model, plain)),
         refit_error=refit_error,
         outside=outside_behinds(race, constants),
         flexible=np.nan if flexible is None else flexible.score - own,
         foretold=np.nan if flexible is None else flexible.foretold,
         samples=float(refit.structure.windows.measured.sum()),
         deviations=np.array([standard_error(b) for b in blocks]),
-        strain=_strain(refit, refit),
-        strains=np.array([_strain(refit, e) for e in race.entries]),
-        flexible_error=np.nan
-        if flexible is None
-        else error(flexible.fitted.model, flexible.fitted.structure.windows.rollout),
         by_block=blocks,
     )
 
@@ -152,12 +142,6 @@ def _unlikely_beginnings(fitted: FittedModel) -> float:
     if begins_at(fitted) is None:
         return 0.0
     return 1.0 + sum(not candidate.effect.may_begin for candidate in fitted.structure.effects)
-
-
-def _strain(refit: FittedModel, fitted: FittedModel) -> float:
-    """Nats by which the parameters that the refit has lie off their priors, in a fit."""
-    own = set(refit.structure.problem.names)
-    return 0.5 * sum(move**2 for name, move in fitted.moves.items() if name in own)
 
 
 def resampled_features(
