@@ -8,6 +8,7 @@ import pytest
 
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.findings import plain
+from trms_cli.scoring.comparison import ranking as ranking_module
 from trms_cli.scoring.comparison.findings import pair, pair_findings, ranking_findings
 from trms_cli.scoring.comparison.ranking import FAILED_RATIO, figures_of, group, matching_runs, rank
 from trms_cli.scoring.comparison.runs import (
@@ -170,6 +171,22 @@ class TestIntervals:
             low, high = found.against_interval.low, found.against_interval.high
             hits += low <= truth**sign <= high
         assert 52 <= hits <= 60  # 95 % of 60 is 57; fewer than 52 has a chance of 1 in 500
+
+    def test_of_very_many_rigs_are_those_that_drawing_again_gives(self, monkeypatch):
+        resampled = self.field(1.03, 0.3, rigs=1200)
+        monkeypatch.setattr(ranking_module, "_MANY_CLUSTERS", 1000)
+        for one, other in zip(
+            resampled.standings, self.field(1.03, 0.3, rigs=1200).standings, strict=True
+        ):
+            for drawn, known in (
+                (one.interval, other.interval),
+                (one.against_interval, other.against_interval),
+            ):
+                if drawn is None:
+                    assert known is None
+                    continue
+                ends = [drawn.low, drawn.high]
+                assert [known.low, known.high] == pytest.approx(ends, abs=0.1 * np.ptp(ends))
 
 
 def test_figures_add_up():

@@ -47,7 +47,7 @@ def find_runs(
     ConfigurationError
         If there is no such folder or column.
     """
-    return _query(
+    result = _query(
         filter,
         folders,
         everywhere=everywhere,
@@ -55,7 +55,8 @@ def find_runs(
         descending=descending,
         columns=columns,
         limit=limit,
-    ).runs
+    )
+    return list(result.runs)
 
 
 def runs_table(filter: str = "", folders: Path | Sequence[Path] = (), **how: Any) -> Any:

@@ -50,14 +50,15 @@ class Query:
     limit: int | None = None  #: Runs at most
     rebuild: bool = False  #: Read every log again
     refresh: bool = True  #: Read logs that are new first; False answers from what is known
-    compact: bool = False  #: Rows that take little room, :class:`~trms_cli.runs.index.Row`
+    compact: bool = False  #: Rows that take little room, :class:`~trms_cli.runs.index.Rows`
 
 
 @dataclass(frozen=True)
 class QueryResult:
     """The answer."""
 
-    runs: list[Any]  #: A run each, a mapping: values by column, None for what it does not have
+    #: A run each: values by column, None for what it does not have
+    runs: Sequence[Any]
     columns: dict[str, IndexColumn]  #: As asked for, by the names that they were asked for by
     matching: int  #: Runs for which the filter holds, also those beyond the limit
     of: int  #: Runs in the folders
@@ -112,11 +113,15 @@ def _find(question: Query, tell: Tell) -> QueryResult:
         roots, tell, remaining, rebuild=question.rebuild, update=question.refresh
     ) as (index, walk):
         scope = scope_sql(roots)
-        more = index.more_names()
-        condition = translate_filter(question.filter, more)
-        within = Sql(f"({condition.text}) AND {scope.text}", condition.values + scope.values)
         asked = question.columns or ("*",)
         of_these = index.more_names(scope) if any(name.endswith("*") for name in asked) else ()
+        # Figures beside the columns are looked for in all runs, which takes as long as a listing,
+        # where one is named that is not known.
+        plain = [name for name in (*asked, question.sort) if not name.endswith("*")]
+        is_known = not question.filter and all(column_sql(name, ()) for name in plain)
+        more = of_these if is_known else index.more_names()
+        condition = translate_filter(question.filter, more)
+        within = Sql(f"({condition.text}) AND {scope.text}", condition.values + scope.values)
         columns = {name: _column(name, more, "--columns") for name in expanded(asked, of_these)}
         units = index.units(within)
         _, order = _column(question.sort, more, "--sort")
@@ -356,9 +361,11 @@ def _stamp_of(log: str) -> FileStamp | None:
     if not stat.S_ISREG(about.st_mode):
         return None
     if name == LOG_NAME:
-        with contextlib.suppress(OSError):
+        try:
             job = os.stat(f"{folder}{os.sep}{STATUS_NAME}")
-            return FileStamp(max(about.st_mtime_ns, job.st_mtime_ns), about.st_size + job.st_size)
+        except OSError:  # of no sweep
+            return FileStamp(about.st_mtime_ns, about.st_size)
+        return FileStamp(max(about.st_mtime_ns, job.st_mtime_ns), about.st_size + job.st_size)
     return FileStamp(about.st_mtime_ns, about.st_size)
 
 

@@ -21,6 +21,7 @@ from trms_cli.core.errors import RecordingError
 from trms_cli.core.wording import choice_labels
 from trms_cli.library.report import sweeps
 from trms_cli.library.report.summary import drawn_keys
+from trms_cli.runs.index import column_of
 from trms_cli.runs.run_folder import LOG_NAME, name_of
 
 if TYPE_CHECKING:
@@ -127,48 +128,50 @@ def runs_of_rows(
     All that was drawn for a run, by `draw_keys`, is one coordinate, its draw: a condition, and no
     entrant's.
     """
-    from trms_cli.scoring.comparison.runs import FIGURE_COLUMNS, ComparisonRun
+    from trms_cli.scoring.comparison.runs import FIGURE_COLUMNS, ComparisonRun, State
 
-    typed = sweeps.typed_values(result.runs) if typed is None else typed
-    keys = [key for key in sweeps.keys_of(result.runs, typed) if key not in draw_keys]
-    draws: dict[tuple[str, ...], str] = {}
+    rows = result.runs
+    typed = sweeps.typed_values(rows) if typed is None else typed
+    keys = [key for key in sweeps.keys_of(rows, typed) if key not in draw_keys]
     ranked_keys = tuple(dict.fromkeys((*_RANKED, *keys)))
-
-    def coordinates(row: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, str]:
-        run_coordinates = {key: _coordinate(row, values, key) for key in ranked_keys}
-        if draw_keys:
-            place = tuple(str(values.get(key)) for key in draw_keys)
-            run_coordinates[_DRAW] = draws.setdefault(place, str(len(draws) + 1))
-        return run_coordinates
-
+    columns = {key: _coordinates(rows, typed, key) for key in ranked_keys}
+    if draw_keys:
+        draws: dict[tuple[str, ...], str] = {}
+        drawn = (tuple(str(values.get(key)) for key in draw_keys) for values in typed)
+        columns[_DRAW] = [draws.setdefault(draw, str(len(draws) + 1)) for draw in drawn]
     totals = {"channels": "rmse", "inputs": "total_variation"}
     units = {group: c.unit for group, n in totals.items() if (c := result.columns.get(n))}
+    figures = zip(*(column_of(rows, name) for name in FIGURE_COLUMNS), strict=True)
+    about = [column_of(rows, name) for name in ("path", "outcome", "complete", "problem")]
     return [
         ComparisonRun(
-            path=str(row["path"]),
-            coordinates=coordinates(row, values),
-            state=_state(row),
-            figures=tuple(map(row.get, FIGURE_COLUMNS)),
+            path=str(path),
+            coordinates=dict(zip(columns, coordinates, strict=True)),
+            state=State.FAILED
+            if outcome == "failed"
+            else State.DONE
+            if complete
+            else State.INCOMPLETE,
+            figures=own,
             units=units,
-            message=str(row.get("problem") or ""),
+            message=str(problem or ""),
         )
-        for row, values in zip(result.runs, typed, strict=True)
+        for path, outcome, complete, problem, coordinates, own in zip(
+            *about, zip(*columns.values(), strict=True), figures, strict=True
+        )
     ]
 
 
-def _coordinate(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> str:
-    value = sweeps.value_of(row, typed, key)
-    if value in (None, ""):
-        return "none" if key in row or key in typed else "–"
-    return str(value)
-
-
-def _state(row: Mapping[str, Any]) -> Any:
-    from trms_cli.scoring.comparison.runs import State
-
-    if row.get("outcome") == "failed":
-        return State.FAILED
-    return State.DONE if row.get("complete") else State.INCOMPLETE
+def _coordinates(
+    rows: Sequence[Mapping[str, Any]], typed: Sequence[Mapping[str, Any]], key: str
+) -> list[str]:
+    """A coordinate of each run: ``none`` for what was not chosen, – for a key it does not have."""
+    values = sweeps.values_of(rows, typed, key)
+    is_column = bool(rows) and key in rows[0]
+    return [
+        str(value) if value not in (None, "") else "none" if is_column or key in own else "–"
+        for value, own in zip(values, typed, strict=True)
+    ]
 
 
 #: More runs than this are told as a sweep: curves over one another could not be told apart.
@@ -250,7 +253,7 @@ def report_of(
     )
     if not result.runs:
         return _of_scores(sources, result, folder, title)
-    rows = [str(row["log"]) for row in result.runs]
+    rows = [str(log) for log in column_of(result.runs, "log")]
     overlaid = all(log.endswith(".mcap") for log in rows) and len(rows) <= MOST_OVERLAID
     # Few runs of a sweep are a sweep still: each may be of another drawn rig, or a trial.
     if overlaid and not any(map(sweeps.sweep_document, sources)):
@@ -301,7 +304,7 @@ def _of_sweep(
     draw_keys = drawn_keys(sweeps.sweep_document(paths[0])) if len(paths) == 1 else []
     ranking = None if sweep.objectives else ranking_of(runs_of_rows(result, draw_keys, typed))
     findings = findings_of_sweep(sweep, ranking=ranking, title=title)
-    runs = tuple(str(row["path"]) for row in result.runs)
+    runs = tuple(map(str, column_of(result.runs, "path")))
     return Report(findings, "sweep", runs, folder, tuple(result.unreadable))
 
 

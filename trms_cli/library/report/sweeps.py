@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
@@ -18,6 +19,7 @@ import msgspec
 from trms_cli.core.data_file import json_or_none
 from trms_cli.core.wording import listing, typed_files
 from trms_cli.library.report import summary
+from trms_cli.runs.index import Row, Rows, column_of
 
 if TYPE_CHECKING:
     from trms_cli.reporting.sweep_report import Objective, SweepReport, SweepRun, Value
@@ -98,6 +100,7 @@ def rows_of(folders: Sequence[Path], *, quiet: bool = False) -> QueryResult:
     )
     with ReadingProgress(quiet=quiet) as progress:
         result = find(question, progress)
+    assert isinstance(result.runs, Rows)
     return replace(result, runs=_completed(result.runs))
 
 
@@ -115,7 +118,6 @@ def read_sweep(
     be, for links to reports of single runs; `address`: where those are instead, by a run's log.
     """
     from trms_cli.reporting.sweep_report import SweepReport
-    from trms_cli.runs.columns import ALIASES
 
     rows = result.runs
     plan = sweep_document(folders[0]) if len(folders) == 1 else {}
@@ -129,12 +131,7 @@ def read_sweep(
     named = summary.short_names(draw_keys, others)
     root = _root(rows, folders)
     figures, total = _figures(result, objectives), plan.get("total")
-    columns = {name: ALIASES.get(name, name) for name in figures}
-    runs = [
-        _swept(row, values, keys, by, columns, named, root, page_folder, address)
-        for row, values in zip(rows, typed, strict=True)
-    ]
-    runs.sort(key=lambda run: (run.number is None, run.number or 0))
+    runs = _runs(rows, typed, keys, by, figures, named, root, page_folder, address)
     return SweepReport(
         name=_name(folders, root),
         runs=runs,
@@ -178,7 +175,7 @@ def from_scores(gathered: RunCollection, folders: Sequence[Path]) -> SweepReport
         }
         runs.append(
             SweepRun(
-                name=_relative(run.path, root),
+                name=_relative(run.path, str(root)),
                 entrant=controller_name(run.coordinates, [key for key in by if key in keys]),
                 outcome={"done": "completed"}.get(run.state.value, run.state.value),
                 values={key: _number_or_text(run.coordinates.get(key)) for key in keys},
@@ -221,7 +218,7 @@ def _figures(result: QueryResult, objectives: Sequence[Objective]) -> dict[str, 
     units = {}
     for name in figure_names:
         column = ALIASES.get(name, name)
-        if any(row.get(column) is not None for row in result.runs):
+        if any(value is not None for value in column_of(result.runs, column)):
             units[name] = result.columns[column].unit if column in result.columns else ""
     return units
 
@@ -230,7 +227,7 @@ def keys_of(
     rows: Sequence[Mapping[str, Any]], typed: Sequence[Mapping[str, Any]], last: Sequence[str] = ()
 ) -> list[str]:
     """Options and typed keys in which runs differ; `last` behind the others, in their order."""
-    keys = [o for o in _OPTIONS if len({row.get(o) or "" for row in rows}) > 1]
+    keys = [o for o in _OPTIONS if len({value or "" for value in column_of(rows, o)}) > 1]
     every = dict.fromkeys(key for values in typed for key in values)
     for key in every:
         stem = key.partition("@")[0]
@@ -239,7 +236,7 @@ def keys_of(
             continue
         if len({str(values.get(key)) for values in typed}) > 1:
             keys.append(key)
-    if len({row.get("seed") for row in rows}) > 1:
+    if len(set(column_of(rows, "seed"))) > 1:
         keys.append("seed")
     places = {key: i for i, key in enumerate(last, start=1)}
     return sorted(keys, key=lambda key: places.get(key, 0))[:_MOST_KEYS]
@@ -253,69 +250,94 @@ def _entrant_keys(keys: Sequence[str]) -> tuple[str, ...]:
     return usual_entrants([key for key in own if re.split(r"[.@]", key)[0] in OF_ENTRANTS])
 
 
-def _swept(
-    row: Mapping[str, Any],
-    typed: Mapping[str, Any],
+def _runs(
+    rows: Sequence[Mapping[str, Any]],
+    typed: Sequence[Mapping[str, Any]],
     keys: Sequence[str],
     by: Sequence[str],
-    figures: Mapping[str, str],
+    figures: Iterable[str],
     named: Mapping[str, str],
     root: Path,
     page_folder: Path,
     address: Callable[[str], str] | None,
-) -> SweepRun:
+) -> list[SweepRun]:
+    """The runs of rows by their numbers; of a hundred thousand, so that columns are taken whole."""
+    from trms_cli.reporting.page import MOST_ROWS
     from trms_cli.reporting.sweep_report import SweepRun
+    from trms_cli.runs.columns import ALIASES
 
-    path, log = str(row["path"]), str(row["log"])
-    folder, name = os.path.dirname(log), path.rpartition(os.sep)[2]
-    own, page = f"{folder}{os.sep}{PAGE_NAME}", ""
-    if address is not None:
-        page = address(log)
-    elif folder != str(page_folder) and os.path.isfile(own):
-        page = relative_link(own, str(page_folder))
-    return SweepRun(
-        name=_relative(path, root),
-        entrant=_entrant(tuple(by), tuple(str(value_of(row, typed, key) or "–") for key in by)),
-        outcome=str(row.get("outcome") or "unfinished"),
-        values={named.get(key, key): value_of(row, typed, key) for key in keys},
-        figures=RowFigures(row, figures),
-        problem=str(row.get("problem") or "")[:_LONGEST_PROBLEM],
-        page=page,
-        number=int(name) if name.isascii() and name.isdigit() else None,
+    values = {key: values_of(rows, typed, key) for key in dict.fromkeys((*keys, *by))}
+    value_rows = zip(*(values[key] for key in keys), strict=True) if keys else repeat(())
+    who_rows = zip(*(values[key] for key in by), strict=True) if by else repeat(())
+    page_keys = [named.get(key, key) for key in keys]
+    columns = {name: column_of(rows, ALIASES.get(name, name)) for name in figures}
+    places = {name: place for place, name in enumerate(columns)}
+    figure_rows = zip(*columns.values(), strict=True) if columns else repeat(())
+    paths, *about = [column_of(rows, name) for name in ("path", "log", "outcome", "problem")]
+    in_order = list(
+        zip(map(_number, paths), paths, *about, value_rows, who_rows, figure_rows, strict=False)
     )
+    in_order.sort(key=lambda cells: (cells[0] is None, cells[0] or 0))
+    stem, page_place, who = str(root), str(page_folder), tuple(by)
+    runs: list[SweepRun] = []
+    for number, path, log, outcome, problem, own, ran, cells in in_order:
+        folder, page = log.rpartition(os.sep)[0], ""
+        if address is not None:
+            page = address(log)
+        elif len(runs) < MOST_ROWS and folder != page_place:  # others stand in no table
+            report = f"{folder}{os.sep}{PAGE_NAME}"
+            page = relative_link(report, page_place) if os.path.isfile(report) else ""
+        runs.append(
+            SweepRun(
+                name=_relative(path, stem),
+                entrant=_entrant(who, ran),
+                outcome=str(outcome or "unfinished"),
+                values=dict(zip(page_keys, own, strict=True)),
+                figures=RowFigures(places, cells),
+                problem=str(problem or "")[:_LONGEST_PROBLEM],
+                page=page,
+                number=number,
+            )
+        )
+    return runs
+
+
+def _number(path: str) -> int | None:
+    """The number that a run's folder is called by; None for another name."""
+    name = path.rpartition(os.sep)[2]
+    return int(name) if name.isascii() and name.isdigit() else None
 
 
 @lru_cache(maxsize=4096)
-def _entrant(by: tuple[str, ...], values: tuple[str, ...]) -> str:
+def _entrant(by: tuple[str, ...], values: tuple[Value, ...]) -> str:
     from trms_cli.scoring.comparison.ranking import controller_name
 
-    return controller_name(dict(zip(by, values, strict=True)), by)
+    texts = [str(value or "–") for value in values]
+    return controller_name(dict(zip(by, texts, strict=True)), by)
 
 
-class RowFigures(Mapping[str, float]):
+class RowFigures(Row):
     """The figures that a row has, by the names of a page: nothing is copied out of it."""
 
-    __slots__ = ("_columns", "_row")
-
-    def __init__(self, row: Mapping[str, Any], columns: Mapping[str, str]) -> None:
-        self._row, self._columns = row, columns
+    __slots__ = ()
 
     def __getitem__(self, name: str) -> float:
-        value = self._row.get(self._columns[name])
+        value = self.cells[self.places[name]]
         if value is None:
             raise KeyError(name)
         return float(value)
 
     def get(self, name: str, default: Any = None) -> Any:
         """The figure, or what else is said."""
-        value = self._row.get(self._columns.get(name, ""))
+        place = self.places.get(name)
+        value = None if place is None else self.cells[place]
         return default if value is None else float(value)
 
     def __contains__(self, name: object) -> bool:
-        return self._row.get(self._columns.get(str(name), "")) is not None
+        return self.get(str(name)) is not None
 
     def __iter__(self) -> Iterator[str]:
-        return (name for name, column in self._columns.items() if self._row.get(column) is not None)
+        return (name for name, place in self.places.items() if self.cells[place] is not None)
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
@@ -327,29 +349,34 @@ def relative_link(target: str, folder: str) -> str:
     return "./" + quote(path.encode("utf-8", "surrogateescape"))
 
 
-def _completed(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _completed(rows: Rows) -> Rows:
     """Rows in which a job that left no log has the usual option of each group it does not name."""
-    usual = {
-        key: Counter(row[key] for row in rows if row.get(key) not in (None, "")).most_common(1)
-        for key in (*_OPTIONS, "seed")
-    }
-    whole = []
-    for row in rows:
-        if str(row["log"]).endswith(STATUS_NAME):
-            filled = {
-                key: most[0][0]
-                for key, most in usual.items()
-                if most and row.get(key) in (None, "")
-            }
-            row = {**row, **filled}
-        whole.append(row)
-    return whole
+    usual: dict[int, Any] = {}
+    for key in (*_OPTIONS, "seed"):
+        counts = Counter(column_of(rows, key))
+        named = [(value, count) for value, count in counts.items() if value not in (None, "")]
+        if named:
+            usual[rows.places[key]] = max(named, key=lambda item: item[1])[0]
+    completed = list(rows.cells)
+    for number, log in enumerate(column_of(rows, "log")):
+        if str(log).endswith(STATUS_NAME):
+            cells = list(completed[number])
+            for place, value in usual.items():
+                cells[place] = value if cells[place] in (None, "") else cells[place]
+            completed[number] = tuple(cells)
+    return Rows(rows.places, completed)
 
 
-def value_of(row: Mapping[str, Any], typed: Mapping[str, Any], key: str) -> Value:
-    """What a run has for an option, or for a key that was typed; None for nothing."""
-    value = row.get(key) if key in row else typed.get(key)
-    return value if isinstance(value, (str, int, float)) or value is None else str(value)
+def values_of(
+    rows: Sequence[Mapping[str, Any]], typed: Sequence[Mapping[str, Any]], key: str
+) -> list[Value]:
+    """What each run has for an option, or for a key that was typed; None for nothing."""
+    is_column = bool(rows) and key in rows[0]
+    values = column_of(rows, key) if is_column else [values.get(key) for values in typed]
+    return [
+        value if isinstance(value, (str, int, float)) or value is None else str(value)
+        for value in values
+    ]
 
 
 def typed_values(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -394,16 +421,17 @@ def _facts(
     facts = {"folder": ", ".join(map(str, folders)), "runs": str(len(rows))}
     command = plan.get("command")
     if not isinstance(command, str):
-        commands = {row.get("command") for row in rows if row.get("command")}
+        commands = set(filter(None, column_of(rows, "command")))
         run_command = str(next(iter(commands))) if len(commands) == 1 else ""
         # A sweep by Hydra names its own settings too, which nobody typed.
         command = run_command.partition(" 'hydra.")[0].partition(" hydra")[0]
     if command:
         facts["command"] = f"`{command[:2000].replace('`', chr(39))}`"
-    times = sorted(str(row["time"]) for row in rows if row.get("time"))
+    times = [str(time) for time in column_of(rows, "time") if time]
     if times:
-        facts["begun"] = times[0] if times[0] == times[-1] else f"{times[0]} to {times[-1]} UTC"
-    versions = sorted({str(row["version"]) for row in rows if row.get("version")})
+        first, last = min(times), max(times)
+        facts["begun"] = first if first == last else f"{first} to {last} UTC"
+    versions = sorted({str(version) for version in column_of(rows, "version") if version})
     if versions:
         facts["version"] = ", ".join(versions)
     return facts
@@ -423,12 +451,12 @@ def _name(folders: Sequence[Path], root: Path) -> str:
     return root.name or str(root)
 
 
-def _relative(path: str, root: Path) -> str:
+def _relative(path: str, root: str) -> str:
     stem = f"{root}{os.sep}"
     if path.startswith(stem) and f"{os.sep}." not in path and os.sep * 2 not in path:
-        return path[len(stem) :].rstrip(os.sep) or root.name
+        return path[len(stem) :].rstrip(os.sep) or os.path.basename(root)
     relative_path = os.path.relpath(os.path.abspath(path), root)
-    return root.name if relative_path == "." else relative_path
+    return os.path.basename(root) if relative_path == "." else relative_path
 
 
 def _number_or_text(text: str | None) -> Value:
