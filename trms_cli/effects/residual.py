@@ -232,11 +232,7 @@ def _of_rotors(own: str, other: str, plain: Mapping[str, ca.SX]) -> Iterator[_Te
 
 
 def _of_thrust(
-    parts: RigParts,
-    axis: str,
-    own: str,
-    scaled: Mapping[str, ca.SX],
-    plain: Mapping[str, ca.SX],
+    parts: RigParts, axis: str, own: str, scaled: Mapping[str, ca.SX], plain: Mapping[str, ca.SX]
 ) -> Iterator[_Term]:
     """Products: thrust that changes with the angles, inflow, gyroscopic torques."""
     speed = f"{own}_speed" if f"{own}_speed" in plain else f"{own}_command"

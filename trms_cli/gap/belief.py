@@ -293,9 +293,7 @@ def _tempered(features: Features) -> Features:
     lifts[descending] = np.minimum.accumulate(lifts[descending])
     lead = np.max(lifts[finite & (scores < features.flexible)], initial=0.0)
     return replace(
-        features,
-        scores=share * scores + lifts,
-        flexible=share * features.flexible + float(lead),
+        features, scores=share * scores + lifts, flexible=share * features.flexible + float(lead)
     )
 
 

@@ -140,10 +140,7 @@ def result_of(stages: StageResults) -> DiagnosisResult:
         refit=refit.values_at_mean_gains,
         residual=residual,
         model_form=form,
-        evidence={
-            **json_data(posterior.features),
-            "shares": shares,
-        },
+        evidence={**json_data(posterior.features), "shares": shares},
         traces=_report_traces(stages, [w.location for w in where]),
     )
 

@@ -356,10 +356,7 @@ class _Motion:
         effect: _FreeForce | _FreeReading
         if place in signals:
             effect = _FreeForce(
-                equation=place,
-                names=names,
-                unit=signals[place].unit,
-                spans=self.spans,
+                equation=place, names=names, unit=signals[place].unit, spans=self.spans
             )
         else:
             axis = parts.part_of(place)

@@ -24,12 +24,7 @@ from trms_cli.simulation.rollout import Rollout
 
 
 def predicted_recordings(
-    refit: Refit,
-    shares: FloatArray,
-    model_name: str,
-    *,
-    load: bool = False,
-    rest: bool = False,
+    refit: Refit, shares: FloatArray, model_name: str, *, load: bool = False, rest: bool = False
 ) -> Iterator[tuple[OpenLoopExperiment, FittedModel]]:
     """Experiments, and what each records; angles stay in bounds before and after the refit.
 

@@ -27,6 +27,7 @@ from trms_cli.gap.discrepancy import input_channels, log_likelihood
 from trms_cli.gap.flexible import Flexible
 from trms_cli.gap.force.exogenous import exogenous
 from trms_cli.gap.force.laws import ForceRecord
+from trms_cli.gap.free_runs import Errors
 from trms_cli.gap.problem import CandidateEffect, GapProblem
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
@@ -100,7 +101,7 @@ def features_of(
     )
     stray = dict(zip(outputs, reach.tolist(), strict=True))
 
-    def error(errors: FloatArray) -> float:
+    def error(errors: Errors) -> float:
         return float(np.fmax.reduce(farthest_errors(errors, floor, stray), initial=np.nan))
 
     before = runs.errors(refit.model, plain)

@@ -19,7 +19,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray
-from trms_cli.effects.input_bias import InputBias
 from trms_cli.gap.beginning import (
     at_its_moment,
     beginning_at,
@@ -30,6 +29,7 @@ from trms_cli.gap.beginning import (
     promised_jumps,
 )
 from trms_cli.gap.competing_model import FittedModel, Metric, ModelStructure, Refit
+from trms_cli.gap.held_force import best_sizes, held_forces, is_constant
 from trms_cli.gap.problem import CandidateEffect, is_amplitude
 from trms_cli.gap.signatures import EffectTraces, Signatures, project_traces
 
@@ -325,7 +325,7 @@ class _Search:
         words = "friction with a constant force"
         hidden = self._each(
             lambda names: self._friction_with_force(names, singles),
-            self._hidden(),
+            held_forces(self._refit.structure.problem.model, self._candidates),
             (0.85, 0.85),
             words,
         )
@@ -448,55 +448,22 @@ class _Search:
         is_dry = _is_dry(best)
 
         def is_worth_it(place: _Place) -> bool:
-            return place.promise > _ENTRANCE or (is_dry and self._is_constant(place.name))
+            return place.promise > _ENTRANCE or (
+                is_dry and is_constant(self._candidates[place.name])
+            )
 
         return [p for p in places if is_worth_it(p) and p.names not in raced_names]
-
-    def _hidden(self) -> list[tuple[str, str]]:
-        """Dry frictions of one size (rivals come in their stead), each with a constant force.
-
-        Friction holds against it. Without it friction falls behind others that look like both, or
-        is not found at all: no partners would be looked for beside it.
-        """
-        if self._refit.structure.problem.model.bench_sizes:
-            return []
-        dry = [
-            name
-            for name, candidate in self._candidates.items()
-            if candidate.effect.overrides("impulse") and len(candidate.free) == 1
-        ]
-        return [
-            (name, force) for name in dry for force in filter(self._is_constant, self._candidates)
-        ]
 
     def _friction_with_force(
         self, names: tuple[str, str], singles: Mapping[str, FittedModel]
     ) -> FittedModel | None:
-        """From the best of many sizes, for where the model sticks hangs on both, and from the fit
-        of the friction alone."""
+        """From the best of many sizes, and from the fit of the friction alone."""
         friction, force = (self._candidates[name] for name in names)
         structure = self._refit.structure.with_effects(friction, force)
-        torques, forces = (np.abs(c.variants[:, 0]) for c in (friction, force))
-        if not (torques.min() > 0 and forces.min() > 0):  # of an effect of the user's own
-            return None
-        around = np.geomspace(forces.min() / 2, forces.max(), _FORCES)
-        others = self._grid(friction)[0]
-        points = [
-            structure.point(
-                others | {friction.free[0].name: size, force.free[0].name: other},
-                self._refit.fit.starts,
-            )
-            for size in np.geomspace(torques.min(), torques.max(), _FRICTIONS)
-            for other in (0.0, *around, *-around)
-        ]
-
-        def score(point: tuple[FloatArray, FloatArray]) -> float:
-            centres, gains = self._refit.centres, self._refit.fit.gains
-            entry = structure.fit(self._middle, [point], centres=centres, gains=gains, iterations=0)
-            return entry.fit.score
 
         def search() -> FittedModel:
-            best = sorted(points, key=score, reverse=True)[:_SEARCHED]
+            others = self._grid(friction)[0]
+            best = best_sizes(structure, self._refit, self._middle, (friction, force), others)
             if alone := singles.get(names[0]):
                 starts = alone.fit.starts[:, : self._refit.centres.shape[1]]
                 best.append(structure.point({**alone.values, force.free[0].name: 0.0}, starts))
@@ -507,9 +474,6 @@ class _Search:
         if entry.fit.score < self._least:
             return None
         return self._once("final " + key, structure, entry.in_own_metric)
-
-    def _is_constant(self, name: str) -> bool:
-        return isinstance(self._candidates[name].effect, InputBias)
 
     def _exchanges(
         self, best: FittedModel, entries: Sequence[FittedModel], signs: Sequence[Signatures]
@@ -554,7 +518,7 @@ class _Search:
         others = {n: c for n, c in self._candidates.items() if n not in but_for}
         names = short_list(signs, others, self._effort.pairs)
         if _is_dry(base):
-            names = list(dict.fromkeys((*names, *filter(self._is_constant, others))))
+            names = list(dict.fromkeys((*names, *(n for n, c in others.items() if is_constant(c)))))
         return [
             _Place(base, max(signs, key=lambda sign: sign.best(name)[0]), name) for name in names
         ]
@@ -703,12 +667,7 @@ def _fit_from_points(
 ) -> FittedModel:
     """A few steps from some points, with the centres and gains of a fit that is built on."""
     return structure.fit(
-        metric,
-        points,
-        centres=base.centres,
-        gains=base.fit.gains,
-        iterations=12,
-        tolerance=0.5,
+        metric, points, centres=base.centres, gains=base.fit.gains, iterations=12, tolerance=0.5
     )
 
 
@@ -736,9 +695,6 @@ def _points(
     ]
 
 
-#: Sizes of dry friction, and of a constant force to either side, that a search for both looks at;
-#: and how many of these points it begins from.
-_FRICTIONS, _FORCES, _SEARCHED = 12, 10, 8
 #: How many frequencies a search for a mode begins at, besides the most promising one.
 _FREQUENCIES = 2
 

@@ -159,10 +159,7 @@ def _of_fit(
             return f"{less}, and adds nothing beside it", False
     if behind < _NATS:
         p = posterior.probabilities.get((name,), 0.0)
-        return (
-            f"{_by_how_much(behind)} as {effects_text(answer)}: probability {percent(p)}",
-            True,
-        )
+        return (f"{_by_how_much(behind)} as {effects_text(answer)}: probability {percent(p)}", True)
     return f"explains {behind:.0f} nats less than {effects_text(answer)}", False
 
 
@@ -174,11 +171,7 @@ def _by_how_much(behind: float) -> str:
 
 
 def _of_trace(
-    name: str,
-    answer: tuple[str, ...],
-    race: Race,
-    beside: Signatures,
-    reasons: Mapping[str, str],
+    name: str, answer: tuple[str, ...], race: Race, beside: Signatures, reasons: Mapping[str, str]
 ) -> str:
     """Why one that was not fitted is not it."""
     if name in reasons:

@@ -81,11 +81,7 @@ def innovation_tests(fitted: FittedModel, *, draws: int = 40, seed: int = 0) -> 
     keys = list(statistics)
     counts = measured.sum(axis=(0, 1))
     lags = _lags(z.shape[1], structure.windows.sample_time)
-    lag_counts = {
-        "whiteness": lags,
-        "squares": lags,
-        "inputs": (lags + 1) * commands.shape[2],
-    }
+    lag_counts = {"whiteness": lags, "squares": lags, "inputs": (lags + 1) * commands.shape[2]}
     p = np.array(
         [
             _tail(

@@ -56,12 +56,7 @@ class FilterArrays:
             return self._updated_arrays(advance, gate, pace)
         function, before, after, scratch = self._compiled
         return not function(
-            int(advance),
-            *before,
-            ctypes.c_double(gate),
-            *after,
-            ctypes.c_double(pace),
-            scratch,
+            int(advance), *before, ctypes.c_double(gate), *after, ctypes.c_double(pace), scratch
         )
 
     @cached_property
