@@ -276,9 +276,11 @@ class Pid(PresentReference):
 
 def _from_others(axes: list[AxisState], axis: AxisState) -> float:
     """Torque that undoes what the torques fed forward to the axes before this one do to it, N m."""
-    before = list(zip(axes, axis.coupling, axis.burdens, strict=False))
-    rates = sum(strength * other.forward_rate for other, strength, _ in before)
-    return rates + sum(burden.at(other.forward) for other, _, burden in before)
+    rates = burdens = 0.0
+    for other, strength, burden in zip(axes, axis.coupling, axis.burdens, strict=False):
+        rates += strength * other.forward_rate
+        burdens += burden.at(other.forward)
+    return rates + burdens
 
 
 def _through_rotor(axis: AxisState, demand: float) -> tuple[float, float]:
