@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -87,7 +87,7 @@ def list_page(catalogue: Catalogue, request: ListRequest) -> tuple[Findings, Run
     except ConfigurationError as error:
         result = catalogue.find(Query(columns=("log",), limit=1))
         problem = "\n".join(filter(None, (error.problem, error.where, error.remedy)))
-        result.runs.clear()
+        result = replace(result, runs=())
     live = _live_runs(catalogue)
     runs = _run_list(catalogue, request, result, {str(run["log"]) for run in live}, problem)
     return _findings(catalogue, result, live), runs
@@ -165,7 +165,7 @@ def _run_list(
     problem: str,
 ) -> RunList:
     first = PAGE_LENGTH * (request.page - 1)
-    del result.runs[:first]
+    result = replace(result, runs=result.runs[first:])
     for run in result.runs:
         if run["log"] in live:
             run["outcome"] = "live"
