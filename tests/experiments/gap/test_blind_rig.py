@@ -104,7 +104,8 @@ def simulated_with(effects: dict[str, Effect], commands: np.ndarray) -> np.ndarr
     x = discrete.initial(start, np.zeros(2))
     # forty models, a few hundred steps each: not worth forty compilations
     steps = discrete.step.mapaccum(SAMPLES - 1)
-    states = np.column_stack([x, steps(x, commands[:-1].T, p, np.zeros(model.n_w))])
+    later = np.array(steps(x, commands[:-1].T, p, np.zeros(model.n_w)))
+    states = np.column_stack([x, later])
     return np.asarray(discrete.measurement(states, commands.T, p)).T
 
 
