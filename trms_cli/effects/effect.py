@@ -212,6 +212,10 @@ class Effect(ABC):
         """The measured outputs as the changed sensors give them when nothing has changed."""
         return y
 
+    def stretch(self, model: Model, sizes: Mapping[str, float]) -> float:
+        """Logarithm of the factor by which readings spread more for the same states, all told."""
+        return 0.0
+
     def sensor_memory(self, step: float) -> tuple[Signal, ...]:
         """Discrete states of the sensors for a step of this length (s)."""
         return ()

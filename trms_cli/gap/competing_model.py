@@ -572,9 +572,21 @@ class ModelStructure:
         worth = None
         if with_evidence and np.isfinite(at.cost):
             worth = evidence(objective(at), at.theta, at.starts, bounds)
+            worth = replace(worth, predictive=worth.predictive + self._stretch(at.theta[:n_f]))
         others = np.reshape(as_well, (-1, n_f))
         fit = CandidateFit(at.theta[:n_f], at.starts, at.theta[n_f:], worth, others)
         return FittedModel(self, fit, metric, centres)
+
+    def _stretch(self, theta: FloatArray) -> float:
+        """What a window's log density lacks where sensors are taken for wrong in scale.
+
+        The prior of the starts stands for what readings say of them: of an angle that is read as
+        twice itself it is half as wide. Else the smaller of two scales would be the likelier one.
+        """
+        values = dict(zip((p.name for p in self.problem.free), theta.tolist(), strict=True))
+        sizes = [{p.name.partition(".")[2]: values[p.name] for p in c.free} for c in self.effects]
+        model = self.problem.model
+        return sum(c.effect.stretch(model, s) for c, s in zip(self.effects, sizes, strict=True))
 
     def with_fixed_parameters(self) -> ModelStructure:
         """The same with its parameters as they were."""

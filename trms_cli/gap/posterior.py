@@ -21,7 +21,7 @@ from trms_cli.gap.belief import (
     simulated_part,
     standard_error,
 )
-from trms_cli.gap.competing_model import FittedModel
+from trms_cli.gap.competing_model import FittedModel, Refit
 from trms_cli.gap.diagnosis import NO_EFFECT, Verdict
 from trms_cli.gap.discrepancy import input_channels, log_likelihood
 from trms_cli.gap.flexible import Flexible
@@ -109,6 +109,7 @@ def features_of(
     errors = np.full(len(race.entries), refit_error)
     harms = np.full(len(race.entries), np.nan)
     blocks = np.array([e.fit.predictive - refit.fit.predictive for e in race.entries])
+    strains = np.array([_strain(refit, e) for e in race.entries])
     for i, entry in enumerate(race.entries[:_RUN]):
         rollout = entry.structure.windows.rollout
         after = runs.errors(entry.model, rollout)
@@ -118,7 +119,7 @@ def features_of(
         gained=own - float(refit.raw.predictive.sum()),
         behind=float(behinds[0].sum()),
         names=tuple(e.names for e in race.entries),
-        scores=np.array([e.fit.score for e in race.entries]) - own,
+        scores=np.array([e.fit.score for e in race.entries]) - own - strains,
         behinds=np.array([b.sum() for b in behinds[1:]]),
         sizes=np.array([sum(len(s.free) for s in e.structure.effects) for e in race.entries]),
         surprises=np.array(
@@ -130,7 +131,9 @@ def features_of(
         raw_error=error(runs.errors(refit.structure.problem.model, plain)),
         refit_error=refit_error,
         outside=outside_behinds(race, constants),
-        flexible=np.nan if flexible is None else flexible.score - own,
+        flexible=np.nan
+        if flexible is None
+        else flexible.score - own - _strain(refit, flexible.fitted),
         foretold=np.nan if flexible is None else flexible.foretold,
         samples=float(refit.structure.windows.measured.sum()),
         deviations=np.array([standard_error(b) for b in blocks]),
@@ -145,6 +148,18 @@ def _unlikely_beginnings(fitted: FittedModel) -> float:
     return 1.0 + sum(not candidate.effect.may_begin for candidate in fitted.structure.effects)
 
 
+def _strain(refit: Refit, fitted: FittedModel) -> float:
+    """Nats by which parameters lie farther off their priors than in the refit.
+
+    No block foretells what is known of them before any; of the rigs that the weights of small
+    benches were fitted to, it is in the weights.
+    """
+    if refit.model.bench_sizes:
+        return 0.0
+    moves = [[of.moves[name] for name in refit.moves] for of in (fitted, refit)]
+    return float(0.5 * np.subtract(*np.square(moves).sum(axis=1)))
+
+
 def resampled_features(
     features: Features, race: Race, behinds: Sequence[FloatArray], blocks: IntArray
 ) -> Features:
@@ -155,7 +170,7 @@ def resampled_features(
         features,
         gained=float(own - race.refit.raw.predictive[blocks].sum()),
         behind=float(behinds[0][blocks].sum()),
-        scores=np.array([e.fit.predictive[blocks].sum() for e in race.entries]) - own,
+        scores=features.scores + (by_block.sum(axis=-1) - features.by_block.sum(axis=-1)),
         behinds=np.array([b[blocks].sum() for b in behinds[1:]]),
         by_block=by_block,
     )
