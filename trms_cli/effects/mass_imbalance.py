@@ -52,7 +52,10 @@ class MassImbalance(Effect):
         alpha, pitch_rate = at.angle("pitch"), at.rate("pitch")
         behind = arm * ca.cos(alpha) + height * ca.sin(alpha)
         above = height * ca.cos(alpha) - arm * ca.sin(alpha)
-        torques = [mass * _gravity(at) * behind]
+        parameters = at.model.parameters
+        has_own = "g" in parameters
+        gravity = at.p[parameters.names.index("g")] if has_own else _STANDARD_GRAVITY
+        torques = [mass * gravity * behind]
         inertias = [mass * (arm**2 + height**2)]
         axes = ["pitch"]
         if "yaw" in at.model.axes:
@@ -70,10 +73,3 @@ class MassImbalance(Effect):
         for k, axis in enumerate(axes):
             result += at.on(at.axis(axis).moment, moments[k])
         return result
-
-
-def _gravity(at: EffectContext) -> ca.SX:
-    parameters = at.model.parameters
-    if "g" in parameters:
-        return at.p[parameters.names.index("g")]
-    return ca.SX(_STANDARD_GRAVITY)

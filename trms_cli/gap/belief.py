@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from msgspec import convert
+from scipy.special import softmax
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import ConfigurationError
@@ -389,13 +390,8 @@ def shares_of(logits: FloatArray) -> FloatArray:
     In some rigs features mislead, by whatever they lead: there a lead counts by a tenth. Without
     that what is told with 0.99 and more is wrong in one of twenty rigs.
     """
-    plain, tempered = (_softmax(logits / temperature) for temperature in (1.0, LAPSE_TEMPERATURE))
-    return (1 - LAPSE) * plain + LAPSE * tempered
-
-
-def _softmax(logits: FloatArray) -> FloatArray:
-    odds = np.exp(logits - logits.max())
-    return np.asarray(odds / odds.sum())
+    plain, tempered = (softmax(logits / temperature) for temperature in (1.0, LAPSE_TEMPERATURE))
+    return np.asarray((1 - LAPSE) * plain + LAPSE * tempered)
 
 
 #: nats. Largest gain of a change that is thought of: gains are log-uniform up to it.

@@ -234,20 +234,13 @@ def _where(comparison: StateComparison) -> tuple[LocationShare, ...]:
         shares[equation.location] = shares.get(equation.location, 0.0) + share
     total = sum(shares.values())
     rows = sorted(((place, share / total) for place, share in shares.items()), key=lambda r: -r[1])
-    return tuple(
-        LocationShare(location=place, share=share, ci95=_interval(share))
-        for place, share in rows
-        if share >= 0.02
-    )
+    ends = [(s if s >= 1 - _TAIL else 0.0, s if s <= _TAIL else 1.0) for _, s in rows]
+    places = zip(rows, ends, strict=True)
+    return tuple(LocationShare(location=p, share=s, ci95=e) for (p, s), e in places if s >= 0.02)
 
 
-#: A tail of a 95 % interval.
+#: A tail of a 95 % interval: a single difference is at its place or not, with its probability.
 _TAIL = 0.025
-
-
-def _interval(share: float) -> tuple[float, float]:
-    """Of a single difference's place: it is there or not, with that probability."""
-    return share if share >= 1 - _TAIL else 0.0, share if share <= _TAIL else 1.0
 
 
 def _confusable(comparison: StateComparison) -> tuple[tuple[str, ...], ...]:

@@ -213,7 +213,8 @@ def _fit_residual(
         candidates = [motion.candidate(other, motion.reading_size(other))]
     else:
         places = [location, *([other] if other else [])]
-        candidates = [motion.candidate(place, _size(forces[place])) for place in places]
+        sizes = [float(np.sqrt(np.mean(forces[place].force ** 2))) for place in places]
+        candidates = list(map(motion.candidate, places, sizes))
         for place in places:
             coefficients, predicted_share = motion.regress(place, forces[place])
             values |= coefficients
@@ -289,11 +290,6 @@ def _with_priors(structure: ModelStructure, sd: Mapping[str, float]) -> ModelStr
     variant.windows = copy.copy(structure.windows)
     variant.windows.problem = variant.problem
     return variant
-
-
-def _size(record: ForceRecord) -> float:
-    """Root mean square, in the force's unit."""
-    return float(np.sqrt(np.mean(record.force**2)))
 
 
 @dataclass(frozen=True)

@@ -236,20 +236,15 @@ def known_state(
             right -= reference.slopes.T @ weighted_columns[:, -1]
         sd = np.sqrt(np.diag(np.linalg.inv(total)))
         step = np.linalg.solve(total, right) - deviation
-        deviation = _clip_to_bounds(
-            free, deviation + step * min(1.0, _LONGEST / max(np.abs(step).max(initial=0.0), 1e-12))
-        )
+        step *= min(1.0, _LONGEST / max(np.abs(step).max(initial=0.0), 1e-12))
+        ends = [[(end - f.prior_mean) / f.scale for f in free for end in (f.lower, f.upper)]]
+        low, high = np.reshape(ends, (-1, 2)).T
+        deviation = np.clip(deviation + step, low + 0.05, high - 0.05)
     return KnownState(fitted_model, free, deviation, sd, errors, runs)
 
 
 #: Rounds of the fit, the longest step of one in prior deviations, and the step of the slopes.
 _ROUNDS, _LONGEST, _STEP = 3, 2.0, 0.2
-
-
-def _clip_to_bounds(free: Sequence[FreeParameter], deviation: FloatArray) -> FloatArray:
-    low = np.array([(f.lower - f.prior_mean) / f.scale for f in free])
-    high = np.array([(f.upper - f.prior_mean) / f.scale for f in free])
-    return np.clip(deviation, low + 0.05, high - 0.05)
 
 
 def _slopes(

@@ -56,7 +56,14 @@ def diagnose_onset(
             return None  # a look that fails is no reason to lose a diagnosis
         times = [cut * d.sample_time for cut, d in zip(cuts, recordings, strict=True)]
         clear, words = None, ""
-        if begins and ends and _clear(ends) and _rather(ends, begins):
+        is_effect = ends is not None and ends.judged[0].difference.kind == "effect"
+        if (
+            begins
+            and ends
+            and is_effect
+            and _clear(ends)
+            and ends.gains[0] - begins.gains[0] > _RATHER_ENDS
+        ):
             clear, words = ends, "ended is told against the last"
         elif begins and _clear(begins):
             clear, words = _later(begins, times), "began is told against the first"
@@ -73,12 +80,6 @@ def _clear(comparison: StateComparison) -> bool:
     """Whether something changed, at a moment, and has a name."""
     has_name = comparison.unchanged < _TOLD and comparison.unnamed < _OTHER
     return has_name and comparison.judged[0].began is not None
-
-
-def _rather(ends: StateComparison, begins: StateComparison) -> bool:
-    """Whether an effect that ends explains more than anything that begins."""
-    is_effect = ends.judged[0].difference.kind == "effect"
-    return is_effect and float(ends.gains[0] - begins.gains[0]) > _RATHER_ENDS
 
 
 def _comparisons(

@@ -104,6 +104,7 @@ def features_of(
     def error(errors: Errors) -> float:
         return float(np.fmax.reduce(farthest_errors(errors, floor, stray), initial=np.nan))
 
+    of_none = np.nan if flexible is None else flexible.score - own - _strain(refit, flexible.fitted)
     before = runs.errors(refit.model, plain)
     refit_error = error(before)
     errors = np.full(len(race.entries), refit_error)
@@ -131,9 +132,7 @@ def features_of(
         raw_error=error(runs.errors(refit.structure.problem.model, plain)),
         refit_error=refit_error,
         outside=outside_behinds(race, constants),
-        flexible=np.nan
-        if flexible is None
-        else flexible.score - own - _strain(refit, flexible.fitted),
+        flexible=of_none,
         foretold=np.nan if flexible is None else flexible.foretold,
         samples=float(refit.structure.windows.measured.sum()),
         deviations=np.array([standard_error(b) for b in blocks]),
@@ -151,8 +150,7 @@ def _unlikely_beginnings(fitted: FittedModel) -> float:
 def _strain(refit: Refit, fitted: FittedModel) -> float:
     """Nats by which parameters lie farther off their priors than in the refit.
 
-    No block foretells what is known of them before any; of the rigs that the weights of small
-    benches were fitted to, it is in the weights.
+    No block foretells what is known before any; weights of small benches have it in them.
     """
     if refit.model.bench_sizes:
         return 0.0

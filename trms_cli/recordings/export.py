@@ -66,7 +66,10 @@ def _write_parquet(log: LoggedRun, path: Path) -> None:
         arrays.append(array)
 
     for name, table in tables.items():
-        row_of_grid = _positions(grid, table.time_ns)
+        # of each time of the grid the last message at that time, or -1
+        last = np.searchsorted(table.time_ns, grid, side="right") - 1
+        is_there = (last >= 0) & (table.time_ns[np.maximum(last, 0)] == grid)
+        row_of_grid = np.where(is_there, last, -1)
         for key, column in table.columns.items():
             add(name, key, _arrow_column(column, row_of_grid), table.units[key])
     events = log.tables.get(_EVENTS)
@@ -81,12 +84,6 @@ def _write_parquet(log: LoggedRun, path: Path) -> None:
         "config.yaml": log.config,
     }
     pq.write_table(pa.table(arrays, schema=pa.schema(fields, metadata=metadata)), path)
-
-
-def _positions(grid: np.ndarray, time_ns: np.ndarray) -> np.ndarray:
-    """Return for each time of the grid the last message at that time, or -1."""
-    last = np.searchsorted(time_ns, grid, side="right") - 1
-    return np.where((last >= 0) & (time_ns[np.maximum(last, 0)] == grid), last, -1)
 
 
 def _arrow_lists(column: np.ndarray, rows: np.ndarray, count: int) -> Any:

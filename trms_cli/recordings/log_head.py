@@ -61,7 +61,9 @@ def read_log_head(path: Path | str) -> LogHead:
     try:
         with path.open("rb", buffering=_BUFFER) as file:
             if file.read(len(_MAGIC)) != _MAGIC:
-                raise RecordingError(_no_mcap(path), where=str(path))
+                empty = path.stat().st_size < len(_MAGIC)
+                what = "the file is empty, or cut off in its first bytes"
+                raise RecordingError(what if empty else "it is no MCAP file", where=str(path))
             _walk(file, os.fstat(file.fileno()).st_size, words)
     except OSError as error:
         raise unreadable(error, path) from error
@@ -141,8 +143,3 @@ def _text(body: bytes, position: int) -> tuple[str, int]:
     if end > len(body):
         raise ValueError("a text is longer than its record")
     return body[begin:end].decode(), end
-
-
-def _no_mcap(path: Path) -> str:
-    empty = path.stat().st_size < len(_MAGIC)
-    return "the file is empty, or cut off in its first bytes" if empty else "it is no MCAP file"

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import rel_entr
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
 from trms_cli.core.wording import listing
@@ -68,7 +69,8 @@ def regions(record: ForceRecord) -> tuple[RegionShare, ...]:
     holds = np.array([condition.holds for condition in conditions], dtype=np.float64)
     in_time = holds.mean(axis=1)
     in_energy = np.clip(holds @ energy / total, 0.0, 1.0)
-    telling = _divergence(in_energy, in_time)
+    chance = np.maximum([in_time, 1 - in_time], 1e-12)
+    telling = rel_entr([in_energy, 1 - in_energy], chance).sum(axis=0)
     beyond_chance = _significant(record, energy, holds - in_time[:, None])
     clear = beyond_chance & (in_energy > in_time + _EXCESS) & (in_energy > _LIFT * in_time)
     selection: list[int] = []
@@ -223,13 +225,6 @@ def _adds(i: int, selection: list[int], conditions: list[Condition], energy: Flo
         if in_energy < max(in_time + _EXCESS, _LIFT * in_time):
             return False
     return True
-
-
-def _divergence(share: FloatArray, time: FloatArray) -> FloatArray:
-    def part(p: FloatArray, q: FloatArray) -> FloatArray:
-        return np.where(p > 0, p * np.log(np.maximum(p, 1e-12) / np.maximum(q, 1e-12)), 0.0)
-
-    return part(share, time) + part(1 - share, 1 - time)
 
 
 def _significant(record: ForceRecord, energy: FloatArray, surplus: FloatArray) -> BoolArray:
