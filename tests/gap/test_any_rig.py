@@ -61,8 +61,13 @@ def servo_recording(seconds: float, friction: float, seed: int = 1) -> Dataset:
     return recording(SERVO, u, y[:, None], [3e-5])
 
 
-def pole_recording(seconds: float, friction: float, seed: int = 1) -> Dataset:
-    """Held upright by a feedback of its states, whose rates are differences of readings."""
+def pole_recording(
+    seconds: float, friction: float, seed: int = 1, spring: float = 0.0, scale: float = 1.0
+) -> Dataset:
+    """Held upright by a feedback of its states, whose rates are differences of readings.
+
+    ``spring``: at the joint, N m/rad. ``scale``: of the encoder of the angle.
+    """
     random = np.random.default_rng(seed)
     samples, h = round(seconds / STEP), STEP / SUBSTEPS
     gain = np.array([-20.0, -14.5, -64.4, -10.6])  # places the poles left of -3
@@ -70,7 +75,7 @@ def pole_recording(seconds: float, friction: float, seed: int = 1) -> Dataset:
     moves, pushes = levels(random, samples, 0.06), levels(random, samples, 0.6)
     u, readings = np.zeros(samples), np.zeros((samples, 2))
     for k in range(samples):
-        y = np.array([x[0], x[2]]) + np.array([1e-4, 3e-4]) * random.standard_normal(2)
+        y = np.array([x[0], scale * x[2]]) + np.array([1e-4, 3e-4]) * random.standard_normal(2)
         rates, before = 0.6 * rates + 0.4 * (y - before) / STEP, y
         readings[k] = y
         u[k] = -gain @ np.array([y[0] - moves[k], rates[0], y[1], rates[1]]) + pushes[k]
@@ -79,7 +84,8 @@ def pole_recording(seconds: float, friction: float, seed: int = 1) -> Dataset:
             coupling = 0.045 * np.cos(angle)
             mass = np.linalg.inv(np.array([[0.95, coupling], [coupling, 0.0135]]))
             forces = [u[k] - 2.0 * v + 0.045 * np.sin(angle) * rate**2]
-            forces.append(0.15 * 9.81 * 0.3 * np.sin(angle) - 0.002 * rate)
+            gravity = 0.15 * 9.81 * 0.3 * np.sin(angle)
+            forces.append(gravity - spring * angle - 0.002 * rate)
             after = np.array([v, rate]) + h * mass @ np.array(forces)
             impulse = np.clip(-after[0] / mass[0, 0], -h * friction, h * friction)
             after += mass[:, 0] * impulse
@@ -178,6 +184,19 @@ def test_friction_of_a_cart_whose_pole_falls_over():
     assert set(top.effects) <= {"cart_coulomb_friction", "cart_stribeck_friction"}
     assert set(answer.gap["angle"]) == {"0.1", "0.5"} and "at 0.5 s" in answer.sentence
     assert answer.shrink["all"]["0.5"].fraction > 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rig", "cause"),
+    [({"spring": 0.055}, "joint_stiffness"), ({"scale": 1.15}, "angle_scale")],
+)
+def test_what_does_the_same_to_the_motion_is_told_apart_by_the_parameters(rig, cause):
+    """Upright, a spring or a wrong scale of either encoder are one, with other parameters each."""
+    names = ("joint_stiffness", "angle_scale", "position_scale")
+    answer = answer_of(POLE, pole_recording(40.0, 0.0, **rig), *names)
+    assert answer.causes[0].effects == (cause,)
+    assert answer.causes[0].probability > 0.5
 
 
 def test_runs_of_what_falls_over_are_short():
