@@ -237,7 +237,7 @@ def known_state(
         sd = np.sqrt(np.diag(np.linalg.inv(total)))
         step = np.linalg.solve(total, right) - deviation
         step *= min(1.0, _LONGEST / max(np.abs(step).max(initial=0.0), 1e-12))
-        ends = [[(end - f.prior_mean) / f.scale for f in free for end in (f.lower, f.upper)]]
+        ends = [(end - f.prior_mean) / f.scale for f in free for end in (f.lower, f.upper)]
         low, high = np.reshape(ends, (-1, 2)).T
         deviation = np.clip(deviation + step, low + 0.05, high - 0.05)
     return KnownState(fitted_model, free, deviation, sd, errors, runs)

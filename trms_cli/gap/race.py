@@ -322,12 +322,11 @@ class _Search:
         entries = self._each(
             lambda place: self._pair(place, singles), pairs, (0.75, 0.85), "two at once"
         )
-        words = "friction with a constant force"
         hidden = self._each(
             lambda names: self._friction_with_force(names, singles),
             held_forces(self._refit.structure.problem.model, self._candidates),
             (0.85, 0.85),
-            words,
+            "friction with a constant force",
         )
         entries = better_of(entries, hidden)
         best = max(alone, key=lambda e: e.fit.score)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from trms_cli.reporting.signals import RunReport
     from trms_cli.runs.query import QueryResult
     from trms_cli.scoring.comparison.ranking import Ranking
-    from trms_cli.scoring.comparison.runs import ComparisonRun
+    from trms_cli.scoring.comparison.runs import ComparisonRun, State
 
 _MOST_TEXT = 2_000  # characters of a fact
 #: Packages whose versions are named on a page.
@@ -128,7 +128,7 @@ def runs_of_rows(
     All that was drawn for a run, by `draw_keys`, is one coordinate, its draw: a condition, and no
     entrant's.
     """
-    from trms_cli.scoring.comparison.runs import FIGURE_COLUMNS, ComparisonRun, State
+    from trms_cli.scoring.comparison.runs import FIGURE_COLUMNS, ComparisonRun
 
     rows = result.runs
     typed = sweeps.typed_values(rows) if typed is None else typed
@@ -147,11 +147,7 @@ def runs_of_rows(
         ComparisonRun(
             path=str(path),
             coordinates=dict(zip(columns, coordinates, strict=True)),
-            state=State.FAILED
-            if outcome == "failed"
-            else State.DONE
-            if complete
-            else State.INCOMPLETE,
+            state=_state(outcome, complete),
             figures=own,
             units=units,
             message=str(problem or ""),
@@ -160,6 +156,14 @@ def runs_of_rows(
             *about, zip(*columns.values(), strict=True), figures, strict=True
         )
     ]
+
+
+def _state(outcome: str | None, complete: bool | None) -> State:
+    from trms_cli.scoring.comparison.runs import State
+
+    if outcome == "failed":
+        return State.FAILED
+    return State.DONE if complete else State.INCOMPLETE
 
 
 def _coordinates(
