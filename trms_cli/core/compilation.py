@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.core.arrays import FloatArray
+from trms_cli.core.threads import SYMBOLS
 
 #: Of code that follows from a model: long, mostly without loops, and new with each effect. More
 #: than -O1 takes twice the time, and makes closed loops no faster. ``-ffp-contract=off`` keeps
@@ -119,6 +120,7 @@ def compiled_source(name: str, source: str) -> ctypes.CDLL | None:
     return None if library is None else ctypes.CDLL(str(library))
 
 
+@SYMBOLS
 def _library(functions: Sequence[ca.Function], driver: str, name: str = "") -> Path | None:
     """Functions with the C code beside them; see :func:`build_library`."""
     name = name or functions[0].name()
@@ -155,7 +157,7 @@ def build_library(
         with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
             source, binary = write(Path(scratch)), Path(scratch) / library.name
             command = [program, *_with_more(flags), "-o", str(binary), str(source), "-lm"]
-            with _saying(name):
+            with SYMBOLS.passed_on(), _saying(name):
                 subprocess.run(command, check=True, capture_output=True)
             os.replace(binary, library)
     except (OSError, subprocess.CalledProcessError):

@@ -13,6 +13,7 @@ import numpy as np
 
 from trms_cli.core.arrays import FloatArray
 from trms_cli.core.errors import TrmsError
+from trms_cli.core.threads import SYMBOLS
 from trms_cli.gap.diagnosis import SizeEstimate
 from trms_cli.gap.discrepancy import (
     Discrepancy,
@@ -464,6 +465,7 @@ class ModelStructure:
     that are not compared: sensors that remember fill their memory there.
     """
 
+    @SYMBOLS
     def __init__(
         self,
         nominal: Model,

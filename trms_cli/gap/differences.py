@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from trms_cli.core.arrays import BoolArray, FloatArray
+from trms_cli.core.threads import SYMBOLS
 from trms_cli.effects.constant_torque import ConstantTorque
 from trms_cli.effects.effect import Effect, SensorEffect
 from trms_cli.effects.extended_model import ExtendedModel
@@ -178,6 +179,7 @@ def _of_effect(
     return Difference(name, kind, labels, units, locations, _normalised(families), effect.may_begin)
 
 
+@SYMBOLS
 def _simulated(
     questioned: NewRecordings, name: str, effect: Effect
 ) -> Callable[[FloatArray], MissingForces]:

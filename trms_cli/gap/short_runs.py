@@ -23,6 +23,7 @@ import casadi as ca
 import numpy as np
 
 from trms_cli.core.arrays import BoolArray, FloatArray, IntArray
+from trms_cli.core.threads import SYMBOLS
 from trms_cli.identification.dataset import Dataset
 from trms_cli.identification.greybox.windows import Windows
 from trms_cli.identification.problem import FitProblem
@@ -77,6 +78,7 @@ class ShortRuns:
     measure; None: the model's own.
     """
 
+    @SYMBOLS
     def __init__(
         self,
         model: Model,

@@ -31,6 +31,7 @@ from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.compilation import BufferedFunction, compiled_library
 from trms_cli.core.errors import ModelError
 from trms_cli.core.process_cache import call_memoised
+from trms_cli.core.threads import SYMBOLS
 from trms_cli.models.discretisation import DiscreteModel, Method, discretise
 from trms_cli.models.model import Model, Signal
 from trms_cli.models.scales import scales_of
@@ -78,6 +79,7 @@ class Rollout:
     among which windows are divided. ``states``: the model's, followed by its memory.
     """
 
+    @SYMBOLS
     def __init__(
         self,
         model: Model,
@@ -232,8 +234,9 @@ class Rollout:
         """
         with self._making:
             if self._sloped is None:
-                functions = call_memoised(_sloped_functions, self._discrete, self.free)
-                self._sloped = _Loop(functions, {**self._sizes(), "NF": len(self.free)})
+                with SYMBOLS:
+                    functions = call_memoised(_sloped_functions, self._discrete, self.free)
+                    self._sloped = _Loop(functions, {**self._sizes(), "NF": len(self.free)})
             return self._sloped
 
     def _sizes(self) -> dict[str, int]:
