@@ -282,13 +282,14 @@ def _tempered(features: Features) -> Features:
     sets = [frozenset(name) for name in features.names]
     by_size = sorted(np.flatnonzero(finite).tolist(), key=lambda i: len(sets[i]))
     for i in by_size if len(features.by_block) else ():
-        for j in by_size:
-            if sets[j] < sets[i] and 0 < scores[j] < scores[i]:
-                # blocks in which the first effect shows more, as they always do, say nothing
-                # against a further one
-                gain, blocks = scores[i] - scores[j], features.by_block[i] - features.by_block[j]
-                own = max(share, _credible(float(gain), standard_error(blocks)))
-                lifts[i] = max(lifts[i], lifts[j] + (own - share) * gain)
+        parts = [j for j in by_size if sets[j] < sets[i] and 0 < scores[j] < scores[i]]
+        if parts:
+            # blocks in which the first effect shows more, as they always do, say nothing against a
+            # further one; what both gain over the lesser of them is no merit of that
+            j = max(parts, key=scores.__getitem__)
+            gain, blocks = scores[i] - scores[j], features.by_block[i] - features.by_block[j]
+            own = max(share, _credible(float(gain), standard_error(blocks)))
+            lifts[i] = lifts[j] + (own - share) * gain
     # what a set is spared lifts no other, and takes no lead from what explains more
     descending = np.argsort(-scores)[: len(by_size)]
     lifts[descending] = np.minimum.accumulate(lifts[descending])
