@@ -10,6 +10,7 @@ import pytest
 from trms_cli.core.chart import RigDiagram
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.effects.residual import ResidualForce, term_names
+from trms_cli.gap.competing_model import nominal_parameters, refit
 from trms_cli.gap.diagnose import diagnose
 from trms_cli.gap.force.description import description, regions
 from trms_cli.gap.force.laws import ForceRecord, explained_shares
@@ -197,6 +198,25 @@ def test_what_does_the_same_to_the_motion_is_told_apart_by_the_parameters(rig, c
     answer = answer_of(POLE, pole_recording(40.0, 0.0, **rig), *names)
     assert answer.causes[0].effects == (cause,)
     assert answer.causes[0].probability > 0.5
+
+
+def test_a_zero_within_a_step_is_a_nuisance_where_the_motion_hangs_on_it():
+    def fitted(model, dataset: Dataset, step: float, zero: float):
+        rounded = step * np.round(dataset.measurements / step)
+        rounded[:, -1] += zero
+        dataset = replace(dataset, measurements=rounded)
+        return refit(model, nominal_parameters(model), (dataset,), 0.5)
+
+    step = 5e-4
+    pole, zero = pole_recording(40.0, 0.0), 0.4 * step
+    plain, shifted, biased = (fitted(POLE, pole, step, value) for value in (0.0, zero, 3 * step))
+    # gravity tells where the angle is zero; of the cart's place nothing does
+    assert shifted.metric.drift.zeros == pytest.approx([step / np.sqrt(12)], rel=1e-3)
+    assert shifted.fit.gains[-1] - plain.fit.gains[-1] == pytest.approx(zero, rel=0.1)
+    assert abs(plain.fit.gains[-1]) < 0.2 * step
+    assert biased.fit.gains[-1] == pytest.approx(step)  # the rest is an effect
+    servo = fitted(SERVO, servo_recording(20.0, 0.0), 1e-5, 0.0)
+    assert len(servo.metric.drift.zeros) == 0
 
 
 def test_runs_of_what_falls_over_are_short():

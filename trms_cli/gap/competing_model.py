@@ -547,7 +547,7 @@ class ModelStructure:
         starts' priors, the same for all who compete. ``gains``, (k,) array: coefficients of the
         drives' gains to begin with; None: zero.
         """
-        wide = np.full(len(metric.drift.drive), np.inf)
+        wide = metric.drift.reach
         low, high = self.problem.bounds
         bounds = (np.concatenate([low, -wide]), np.concatenate([high, wide]))
         n_f, first = len(low), np.zeros(len(wide)) if gains is None else gains

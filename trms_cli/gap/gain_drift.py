@@ -8,15 +8,19 @@ along the recording::
 
 Were each block given a gain of its own, an effect that falls with time would be paid for once and
 credited in every block.
+
+The zero of a sensor is a nuisance of the same kind: it is set to within half a step, and nothing
+else that a rig has is blamed for so little of a spring's rest or of gravity.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.gap.discrepancy import Trajectory
+from trms_cli.gap.problem import quantum_of
 from trms_cli.identification.greybox.windows import Windows
 
 #: s between two knots, and most knots of one recording: longer ones get wider spaces.
@@ -33,9 +37,16 @@ class WanderingGains:
     """What wandering gains do to the outputs of some windows."""
 
     columns: FloatArray  #: (m, c, n_y, k) array; change of the outputs for a gain that is one more
-    drive: IntArray  #: (k,) array; drive that each column belongs to
+    drive: IntArray  #: (k,) array; drive that each column belongs to, −1 for the zero of a sensor
     #: (k,) array; weight of each coefficient in the mean gain of its drive over all windows
     weight: FloatArray
+    #: (n_z,) array; standard deviation of the sensors' zeros, the last of the coefficients
+    zeros: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def reach(self) -> FloatArray:
+        """How far each coefficient may be from none, (k,): a zero by a step, a gain by anything."""
+        return np.append(np.full(np.sum(self.drive >= 0), np.inf), self.zeros * np.sqrt(12))
 
     @cached_property
     def near(self) -> IntArray:
@@ -60,11 +71,11 @@ class WanderingGains:
 
     def sd(self, sizes: FloatArray) -> FloatArray:
         """Standard deviation of each coefficient (k,) for sizes by drive (n_u,)."""
-        return np.asarray(sizes[self.drive])
+        return np.concatenate([sizes[self.drive[self.drive >= 0]], self.zeros])
 
     def stray(self, sizes: FloatArray) -> FloatArray:
         """How far such gains drive free runs off over a window, by output, (n_y,) RMS."""
-        squares = np.mean(self.columns**2, axis=(0, 1)) @ self.sd(sizes) ** 2
+        squares = np.mean(self.columns**2, axis=(0, 1)) @ (self.sd(sizes) * (self.drive >= 0)) ** 2
         return np.asarray(np.sqrt(squares))
 
     def likely_sizes(self, gains: FloatArray, variance: FloatArray) -> FloatArray:
@@ -83,7 +94,7 @@ class WanderingGains:
 
 
 def gain_drift(windows: Windows, trajectory: Trajectory) -> WanderingGains:
-    """Columns along a trajectory, a set of knots for every recording and drive."""
+    """Columns along a trajectory: a set of knots for every recording and drive, then zeros."""
     m, c, n_y, n = trajectory.h.shape
     basis = _hats(windows)
     drives, knots = windows.commands.shape[2], basis.shape[2]
@@ -94,9 +105,28 @@ def gain_drift(windows: Windows, trajectory: Trajectory) -> WanderingGains:
         columns[:, t] = trajectory.h[:, t] @ x
         forcing = input_terms[:, t, :, :, None] * basis[:, t, None, None]
         x = trajectory.a[:, t] @ x + forcing.reshape(m, n, drives * knots)
+    zeros = _zeros(windows, trajectory)
+    at = np.flatnonzero(zeros)
+    ones = np.broadcast_to(np.eye(n_y)[:, at], (m, c, n_y, len(at)))
+    columns = np.concatenate([columns, ones], axis=-1)
     columns = np.where(windows.measured[..., None], columns, 0.0)
-    weight = basis[windows.inside].mean(axis=0)
-    return WanderingGains(columns, np.repeat(np.arange(drives), knots), np.tile(weight, drives))
+    drive = np.append(np.repeat(np.arange(drives), knots), np.full(len(at), -1))
+    means = np.tile(basis[windows.inside].mean(axis=0), drives)
+    return WanderingGains(columns, drive, np.append(means, np.zeros(len(at))), zeros[at])
+
+
+def _zeros(windows: Windows, trajectory: Trajectory) -> FloatArray:
+    """Standard deviation of each sensor's zero, uniform over a step, (n_y,).
+
+    None where the motion does not hang on what it reads, nor on benches, whose zeros are set.
+    """
+    model, eye = windows.problem.model, np.eye(trajectory.a.shape[-1])
+    zeros = np.zeros(model.n_y)
+    for i, signal in enumerate(() if model.bench_sizes else model.outputs):
+        state = model.state_names.index(signal.name) if signal.name in model.state_names else None
+        if state is None or not np.allclose(trajectory.a[..., state], eye[state], atol=1e-9):
+            zeros[i] = quantum_of(windows.target[..., i], signal.unit) / np.sqrt(12)
+    return zeros
 
 
 def _hats(windows: Windows) -> FloatArray:

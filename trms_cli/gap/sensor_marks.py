@@ -9,20 +9,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import norm
 
 from trms_cli.core.arrays import BoolArray, FloatArray
 from trms_cli.core.wording import percent
-from trms_cli.gap.belief import DROPOUT, QUANTISATION, simulated_part
-from trms_cli.gap.competing_model import FittedModel
+from trms_cli.gap.belief import DROPOUT, QUANTISATION
 from trms_cli.gap.diagnosis import NO_EFFECT, SizeEstimate
 from trms_cli.gap.problem import CandidateEffect, GapProblem, is_coarser, quantum_of
 from trms_cli.identification.dataset import Dataset
 from trms_cli.models.model import Model
 from trms_cli.models.scales import scales_of
 
-#: What the name of a sensor's constant error ends in.
-BIAS = "_bias"
 #: Share of a step by which it is read wrong.
 _READ = 1e-3
 #: Belief that a sensor whose readings show an effect has it.
@@ -132,57 +128,6 @@ def _coarser_than_other(
             if is_coarser(quantum, min(quanta.values())):
                 yield f"{axis}{QUANTISATION}", quantum, next(iter(units))
                 return
-
-
-def bias_rounding(
-    problem: GapProblem, fitted: Mapping[tuple[str, ...], FittedModel]
-) -> dict[tuple[str, ...], dict[str, float]]:
-    """How probably each bias of a cause is less than a step of its sensor, by its error.
-
-    A zero is set to within half a step, and a reading is rounded by up to half of one.
-
-    ``fitted``: by names of effects. None on benches, whose biases were calibrated as they are.
-    """
-    if problem.model.bench_sizes:
-        return {}
-    dataset, steps = problem.datasets[0], dict[str, float]()
-    for signal, values in zip(dataset.outputs, dataset.measurements.T, strict=True):
-        coarsest = max(quantum_of(values, signal.unit), problem.quanta.get(signal.name, 0.0))
-        if coarsest > 0:
-            steps[f"{signal.name}{BIAS}"] = coarsest
-    shares = {}
-    for names, entry in fitted.items():
-        within = {}
-        for name in steps.keys() & set(names):
-            value, sd = entry.values[f"{name}.bias"], max(entry.sds[f"{name}.bias"], 1e-12)
-            step = steps[name]
-            within[name] = float(norm.cdf(step, value, sd) - norm.cdf(-step, value, sd))
-        if within:
-            shares[names] = within
-    return shares
-
-
-def without_rounded_zeros(
-    probabilities: Mapping[tuple[str, ...], float],
-    rounding: Mapping[tuple[str, ...], Mapping[str, float]],
-) -> dict[tuple[str, ...], float]:
-    """Each cause's probability given to that without a bias of less than a step.
-
-    No encoder's zero is known any better, so that such a bias is part of every rig. ``rounding``:
-    as of :func:`bias_rounding`.
-    """
-    totals: dict[tuple[str, ...], float] = {}
-    none = max(("no_gap", "parameters_only"), key=lambda name: probabilities.get((name,), 0.0))
-    for names, probability in probabilities.items():
-        shares = {names: probability}
-        for bias, within in rounding.get(simulated_part(names), {}).items():
-            for cause, share in list(shares.items()):
-                simpler = tuple(n for n in cause if n != bias) or (none,)
-                shares[cause] = (1 - within) * share
-                shares[simpler] = shares.get(simpler, 0.0) + within * share
-        for cause, share in shares.items():
-            totals[cause] = totals.get(cause, 0.0) + share
-    return dict(sorted(totals.items(), key=lambda item: -item[1]))
 
 
 def with_marked_sensors(
