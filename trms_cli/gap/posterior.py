@@ -31,7 +31,7 @@ from trms_cli.gap.free_runs import Errors
 from trms_cli.gap.problem import CandidateEffect, GapProblem
 from trms_cli.gap.race import Race
 from trms_cli.gap.residuals import Location
-from trms_cli.gap.sensor_marks import bias_rounding, with_marked_sensors, without_rounded_zeros
+from trms_cli.gap.sensor_marks import with_marked_sensors
 from trms_cli.gap.shrinkage import SealedRuns, farthest_errors, harm
 from trms_cli.models.model import names
 
@@ -49,7 +49,7 @@ _OWN_DOING = 0.5
 #: p-value from which a regression on a missing force is believed.
 _CERTAIN = 0.05
 _RESAMPLES = 200
-#: Competitors whose free runs on the sealed part are asked for.
+#: Competitors of a bench whose free runs on the sealed part are asked for, as its weights have it.
 _RUN = 5
 
 
@@ -57,7 +57,8 @@ _RUN = 5
 class Posterior:
     """What is believed once all have raced."""
 
-    probabilities: Mapping[tuple[str, ...], float]  #: Descending; effects, or of :data:`NO_EFFECT`
+    #: The answer first, then descending; effects, or of :data:`NO_EFFECT`
+    probabilities: Mapping[tuple[str, ...], float]
     verdict: Verdict
     best: FittedModel | None  #: The most probable with effects
     corrected: FittedModel | None  #: What goes into the corrected model; None: the refit alone
@@ -87,7 +88,7 @@ def features_of(
 ) -> Features:
     """Features of all that raced; ``behinds`` as of :func:`excesses`.
 
-    Free runs are those of the first :data:`_RUN` competitors; the others lie behind these.
+    Free runs are those of all competitors, on benches of the first :data:`_RUN`.
     """
     refit, plain = race.refit, race.refit.structure.windows.rollout
     own = float(refit.fit.predictive.sum())
@@ -111,7 +112,7 @@ def features_of(
     harms = np.full(len(race.entries), np.nan)
     blocks = np.array([e.fit.predictive - refit.fit.predictive for e in race.entries])
     strains = np.array([_strain(refit, e) for e in race.entries])
-    for i, entry in enumerate(race.entries[:_RUN]):
+    for i, entry in enumerate(race.entries[: _RUN if refit.model.bench_sizes else None]):
         rollout = entry.structure.windows.rollout
         after = runs.errors(entry.model, rollout)
         errors[i] = error(after)
@@ -272,14 +273,12 @@ def posterior_of(
         features = replace(features, foretold=float(np.fmax(features.foretold, predictable_share)))
     special = special_cases(race.entries, candidates)
     entries = {e.names: e for e in race.entries}
-    rounding = bias_rounding(problem, entries)
 
     def probabilities_given(own_features: Features) -> dict[tuple[str, ...], float]:
         by_cause = merged(probabilities_of(own_features, constants.weights), special)
-        by_cause = without_rounded_zeros(by_cause, rounding)
         return with_marked_sensors(by_cause, tuple(problem.marks))
 
-    probabilities = probabilities_given(features)
+    probabilities = by_group(probabilities_given(features), race)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
     m = len(race.refit.structure.windows)
     resampled = tuple(
@@ -304,6 +303,27 @@ def posterior_of(
     return Posterior(
         probabilities, verdict, best, corrected, confusable, features, resampled, flexible
     )
+
+
+def by_group(
+    probabilities: Mapping[tuple[str, ...], float], race: Race
+) -> dict[tuple[str, ...], float]:
+    """First the likeliest of the causes that are together the likeliest.
+
+    Two that move the rig alike share a probability that would be one's, were the other no law.
+    """
+    signs = race.tight
+    known = set(signs.names)
+
+    def alike(names: tuple[str, ...], others: tuple[str, ...]) -> bool:
+        return len(names) == len(others) and all(
+            a == b or ({a, b} <= known and signs.alike(a, b) > _ALIKE)
+            for a, b in zip(names, others, strict=True)
+        )
+
+    groups = [[o for o in probabilities if alike(n, o)] for n in probabilities]
+    first = max(groups, key=lambda group: round(sum(probabilities[n] for n in group), 12))[0]
+    return {first: probabilities[first], **probabilities}
 
 
 def _verdict(
