@@ -347,9 +347,7 @@ def _by_steps(name: tuple[str, ...], scores: Mapping[tuple[str, ...], float]) ->
     """
     parts = [n for n in scores if set(n) < set(name) and np.isfinite(scores[n])]
     ways = [_flattened_score(scores[name])]
-    ways += [
-        _by_steps(part, scores) + _flattened_score(scores[name] - scores[part]) for part in parts
-    ]
+    ways += [_by_steps(p, scores) + _flattened_score(scores[name] - scores[p]) for p in parts]
     return max(ways)
 
 
@@ -374,9 +372,7 @@ def probabilities_of(
     Descending. ``weights``: by feature; of an effect's own zero where it has none.
     """
     rows = alternatives(features)
-    logits = np.array(
-        [sum(_weight(weights, k) * v for k, v in row.items()) for row in rows.values()]
-    )
+    logits = np.array([sum(_weight(weights, k) * v for k, v in r.items()) for r in rows.values()])
     probabilities = dict(zip(rows, shares_of(logits).tolist(), strict=True))
     return dict(sorted(probabilities.items(), key=lambda item: -item[1]))
 

@@ -138,10 +138,8 @@ def compare_with(
     unnamed = unnamed_gain(free)
     between = _usual_gains(known_state, candidates, judged, jobs)
     kinds = [j.difference.kind for j in judged]
-    gains_by_name = {
-        j.difference.name: gain for j, gain in zip(judged, gains.tolist(), strict=True)
-    }
-    usual = usual_gains({**gains_by_name, UNNAMED: unnamed}, between)
+    gain_by_name = {j.difference.name: gain for j, gain in zip(judged, gains.tolist(), strict=True)}
+    usual = usual_gains({**gain_by_name, UNNAMED: unnamed}, between)
     probabilities, unchanged, other = change_probabilities(
         kinds, gains, _beliefs(judged), unnamed, usual, constants
     )

@@ -404,7 +404,10 @@ class FittedModel:
     def in_own_metric(self) -> FittedModel:
         """Refitted with the discrepancy that is most likely for itself."""
         discrepancy, shares = self.metric.discrepancy, self.metric.shares
-        return _alternating_fit(self, discrepancy, shares, rounds=2, iterations=6, tolerance=0.2)
+        own = _alternating_fit(self, discrepancy, shares, rounds=2, iterations=6, tolerance=0.2)
+        # sizes and fit in turn may end at a lesser optimum; benches are weighed as they ended
+        is_better = own.fit.score > self.fit.score or self.structure.problem.model.bench_sizes
+        return own if is_better else self
 
 
 def _alternating_fit(
@@ -661,6 +664,7 @@ def refit(
     datasets: Sequence[Dataset],
     block: float,
     unseen: int = 0,
+    quanta: Mapping[str, float] | None = None,
 ) -> Refit:
     """Fit the nominal model and the size of its discrepancy in turn.
 
@@ -679,7 +683,7 @@ def refit(
     trajectory = linearisation.through(p, _smoothed_states(first))
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
     point = (theta, centres)
-    drift = gain_drift(windows, trajectory)
+    drift = gain_drift(windows, trajectory, quanta)
     usual, count = np.full(drift.drives, USUAL_DRIFT), len(channels)
     for share in _FIRST_SHARES:
         metric = Metric(fitting, np.full(count, share), drift, usual)
@@ -689,9 +693,8 @@ def refit(
     trajectory = linearisation.along(p, point[1])
     trajectory = linearisation.through(p, _smoothed_states(replace(first, trajectory=trajectory)))
     fitting = Discrepancy(windows, trajectory, channels, start_share=0.0)
-    metric = replace(
-        fitted.metric, discrepancy=fitting, drift=gain_drift(windows, fitting.trajectory)
-    )
+    drift = gain_drift(windows, trajectory, quanta)
+    metric = replace(fitted.metric, discrepancy=fitting, drift=drift)
     fitted = _alternating_fit(
         replace(fitted, metric=metric), fitting, np.full(count, _FIRST_SHARES[-1]), rounds=3
     )

@@ -8,6 +8,7 @@ See ``docs/diagnose.md`` for what each stage does and why.
 
 import time
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -126,7 +127,7 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
     simulated = {name: candidate for name, candidate in candidates.items() if candidate.simulated}
     step = parts.fitted[0].sample_time
     unseen = max((len(c.effect.sensor_memory(step)) for c in simulated.values()), default=0)
-    nominal = refit(problem.model, free, parts.fitted, parts.block, unseen)
+    nominal = refit(problem.model, free, parts.fitted, parts.block, unseen, problem.quanta)
     watch.enter("separability")
     traces = _traces(nominal, simulated, problem.jobs, watch)
     unbent = about_priors(nominal)
@@ -164,9 +165,8 @@ def diagnose(problem: GapProblem, progress: Progress | None = None) -> Diagnosis
             if leads(beside, race):
                 nominal, race = free_form.nominal, beside
                 problem = replace(problem, model=free_form.model)
-    constants = problem.calibration or calibration(
-        TWIN_ROTOR if problem.model.bench_sizes else ANY_RIG
-    )
+    package = TWIN_ROTOR if problem.model.bench_sizes else ANY_RIG
+    constants = problem.calibration or calibration(package)
     channels = nominal.metric.discrepancy.channels
     usual = {c.location: constants.usual(c.location) for c in channels}
     watch.enter("where")
@@ -228,8 +228,6 @@ def _traces(
     nominal: Refit, simulated: Mapping[str, CandidateEffect], jobs: int, watch: _Watch
 ) -> EffectTraces:
     """Traces of all candidates; their models are compiled side by side, which takes longest."""
-    from concurrent.futures import ThreadPoolExecutor
-
     candidates = list(simulated.values())
     with ThreadPoolExecutor(max(1, jobs)) as pool:
         for k, _ in enumerate(pool.map(nominal.structure.with_effects, candidates)):

@@ -316,12 +316,10 @@ class _Motion:
         inside = windows.inside
         states = self.refit.metric.discrepancy.trajectory.x[..., : model.n_x][inside]
         n = len(states)
-        function = ca.Function(
-            "along", [x, u, p, w], [ca.densify(ca.vertcat(*expressions.values()))]
-        )
+        along = ca.Function("along", [x, u, p, w], [ca.densify(ca.vertcat(*expressions.values()))])
         parameters = np.repeat(self.refit.model.parameters.values[:, None], n, axis=1)
         no_force = np.zeros((model.n_w, n))
-        rows = function.map(n)(states.T, windows.commands[inside].T, parameters, no_force)
+        rows = along.map(n)(states.T, windows.commands[inside].T, parameters, no_force)
         return dict(zip(expressions, np.array(ca.DM(rows).full()), strict=True))
 
     @cached_property

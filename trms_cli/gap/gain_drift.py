@@ -13,6 +13,7 @@ The zero of a sensor is a nuisance of the same kind: it is set to within half a 
 else that a rig has is blamed for so little of a spring's rest or of gravity.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -93,8 +94,13 @@ class WanderingGains:
         return float(np.sum(0.5 * gains**2 * (other**-2 - one**-2) - np.log(one / other)))
 
 
-def gain_drift(windows: Windows, trajectory: Trajectory) -> WanderingGains:
-    """Columns along a trajectory: a set of knots for every recording and drive, then zeros."""
+def gain_drift(
+    windows: Windows, trajectory: Trajectory, quanta: Mapping[str, float] | None = None
+) -> WanderingGains:
+    """Columns along a trajectory: a set of knots for every recording and drive, then zeros.
+
+    ``quanta``: steps of sensors as declared, by output; a finer one may have been read.
+    """
     m, c, n_y, n = trajectory.h.shape
     basis = _hats(windows)
     drives, knots = windows.commands.shape[2], basis.shape[2]
@@ -105,7 +111,7 @@ def gain_drift(windows: Windows, trajectory: Trajectory) -> WanderingGains:
         columns[:, t] = trajectory.h[:, t] @ x
         forcing = input_terms[:, t, :, :, None] * basis[:, t, None, None]
         x = trajectory.a[:, t] @ x + forcing.reshape(m, n, drives * knots)
-    zeros = _zeros(windows, trajectory)
+    zeros = _zeros(windows, trajectory, quanta or {})
     at = np.flatnonzero(zeros)
     ones = np.broadcast_to(np.eye(n_y)[:, at], (m, c, n_y, len(at)))
     columns = np.concatenate([columns, ones], axis=-1)
@@ -115,7 +121,7 @@ def gain_drift(windows: Windows, trajectory: Trajectory) -> WanderingGains:
     return WanderingGains(columns, drive, np.append(means, np.zeros(len(at))), zeros[at])
 
 
-def _zeros(windows: Windows, trajectory: Trajectory) -> FloatArray:
+def _zeros(windows: Windows, trajectory: Trajectory, quanta: Mapping[str, float]) -> FloatArray:
     """Standard deviation of each sensor's zero, uniform over a step, (n_y,).
 
     None where the motion does not hang on what it reads, nor on benches, whose zeros are set.
@@ -125,7 +131,8 @@ def _zeros(windows: Windows, trajectory: Trajectory) -> FloatArray:
     for i, signal in enumerate(() if model.bench_sizes else model.outputs):
         state = model.state_names.index(signal.name) if signal.name in model.state_names else None
         if state is None or not np.allclose(trajectory.a[..., state], eye[state], atol=1e-9):
-            zeros[i] = quantum_of(windows.target[..., i], signal.unit) / np.sqrt(12)
+            step = quantum_of(windows.target[..., i], signal.unit)
+            zeros[i] = max(step, quanta.get(signal.name, 0.0)) / np.sqrt(12)
     return zeros
 
 
