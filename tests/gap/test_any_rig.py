@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from trms_cli.core.chart import RigDiagram
 from trms_cli.effects.extended_model import ExtendedModel
 from trms_cli.effects.residual import ResidualForce, term_names
+from trms_cli.gap import competing_model
 from trms_cli.gap.competing_model import nominal_parameters, refit
 from trms_cli.gap.diagnose import diagnose
 from trms_cli.gap.force.description import description, regions
@@ -198,6 +200,19 @@ def test_what_does_the_same_to_the_motion_is_told_apart_by_the_parameters(rig, c
     answer = answer_of(POLE, pole_recording(40.0, 0.0, **rig), *names)
     assert answer.causes[0].effects == (cause,)
     assert answer.causes[0].probability > 0.5
+
+
+@pytest.mark.parametrize(("score", "kept"), [(1.0, False), (3.0, True)])
+def test_the_better_of_a_fit_and_that_in_its_own_metric_is_kept(monkeypatch, score, kept):
+    """Of friction on a cart the second was 50 nats worse, and a spring was told beside it."""
+    own = SimpleNamespace(fit=SimpleNamespace(score=score))
+    monkeypatch.setattr(competing_model, "_alternating_fit", lambda *_, **__: own)
+    metric = SimpleNamespace(discrepancy=None, shares=None)
+    structure = SimpleNamespace(problem=SimpleNamespace(model=SERVO))
+    before = SimpleNamespace(metric=metric, structure=structure, fit=SimpleNamespace(score=2.0))
+    assert (competing_model.FittedModel.in_own_metric(before) is own) is kept
+    structure.problem.model = Newtonian()  # a bench is weighed as it ended
+    assert competing_model.FittedModel.in_own_metric(before) is own
 
 
 def test_a_zero_within_a_step_is_a_nuisance_where_the_motion_hangs_on_it():
