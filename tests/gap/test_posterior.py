@@ -204,6 +204,9 @@ def test_a_further_effect_leads_by_no_more_than_it_gains():
     )
     scores = {n: row["score"] for n, row in alternatives(case).items() if n in case.names}
     assert 0 < scores["a", "b"] - scores["b",] < 4.1
+    # a bench's weights were proved without
+    rows = alternatives(replace(case, bench=True))
+    assert rows["a", "b"]["score"] - rows["b",]["score"] > 20
 
 
 def test_causes_that_move_the_rig_alike_are_weighed_together():

@@ -117,6 +117,9 @@ class Features:
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
     #: (k, m) array; scores by block
     by_block: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    bench: bool = (
+        False  #: Whether of a bench, whose weights were proved with looser scores of pairs
+    )
 
 
 #: nats. Discrepancy beyond the usual that hardly counts.
@@ -283,13 +286,13 @@ def _tempered(features: Features) -> Features:
     by_size = sorted(np.flatnonzero(finite).tolist(), key=lambda i: len(sets[i]))
     for i in by_size if len(features.by_block) else ():
         parts = [j for j in by_size if sets[j] < sets[i] and 0 < scores[j] < scores[i]]
-        if parts:
-            # blocks in which the first effect shows more, as they always do, say nothing against a
-            # further one; what both gain over the lesser of them is no merit of that
-            j = max(parts, key=scores.__getitem__)
+        if not features.bench:  # what both gain over the lesser of them is no merit of that
+            parts = sorted(parts, key=scores.__getitem__)[-1:]
+        for j in parts:
+            # blocks in which the first effect shows more say nothing against a further one
             gain, blocks = scores[i] - scores[j], features.by_block[i] - features.by_block[j]
             own = max(share, _credible(float(gain), standard_error(blocks)))
-            lifts[i] = lifts[j] + (own - share) * gain
+            lifts[i] = max(lifts[i], lifts[j] + (own - share) * gain)
     # what a set is spared lifts no other, and takes no lead from what explains more
     descending = np.argsort(-scores)[: len(by_size)]
     lifts[descending] = np.minimum.accumulate(lifts[descending])

@@ -297,9 +297,7 @@ def _question(
                 values = candidate.apart_from_special_case(values)
         rows = tuple(with_rows(candidate, values) for candidate in selection)
         return _Question(rows, True, tuple(s.name for s in selection if is_fitted(s, values)))
-    names = [
-        n for n in (untested or candidates) if n in candidates and not candidates[n].stochastic
-    ]
+    names = [n for n in untested or candidates if n in candidates and not candidates[n].stochastic]
     if not names:
         return None
     selection = [candidates[name] for name in names]

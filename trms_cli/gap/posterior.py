@@ -138,6 +138,7 @@ def features_of(
         samples=float(refit.structure.windows.measured.sum()),
         deviations=np.array([standard_error(b) for b in blocks]),
         by_block=blocks,
+        bench=refit.model.bench_sizes,
     )
 
 

@@ -336,17 +336,15 @@ class _Search:
         while True:
             if len(best.names) > 1:
                 places = self._exchanges(best, (*alone, *entries), signs)
-                new_entries = self._fit_places(
-                    places, "in the stead of one of " + "+".join(best.names)
-                )
-                entries += new_entries
-                best = max((best, *new_entries), key=lambda e: e.fit.score)
+                added = self._fit_places(places, "in the stead of one of " + "+".join(best.names))
+                entries += added
+                best = max((best, *added), key=lambda e: e.fit.score)
             if len(best.names) >= self._effort.deepest:
                 return entries
             places = self._partners(best, entries)
-            new_entries = self._fit_places(places, "beside " + "+".join(best.names))
-            entries += new_entries
-            deeper = max(new_entries, key=lambda e: e.fit.score, default=best)
+            added = self._fit_places(places, "beside " + "+".join(best.names))
+            entries += added
+            deeper = max(added, key=lambda e: e.fit.score, default=best)
             if deeper.fit.score < best.fit.score + _ENTRANCE or deeper is best:
                 return entries
             best = deeper
