@@ -28,7 +28,7 @@ from trms_cli.gap.belief import (
     usual_gains,
 )
 from trms_cli.gap.diagnosis import Cause, Onset, SizeEstimate
-from trms_cli.gap.posterior import _verdict, by_group, merged, special_cases
+from trms_cli.gap.posterior import _verdict, merged, special_cases
 from trms_cli.gap.problem import applicable_candidates
 from trms_cli.library.tasks.diagnose import applied_cause, corrected_words
 from trms_cli.models.newtonian import Newtonian
@@ -207,29 +207,6 @@ def test_a_further_effect_leads_by_no_more_than_it_gains():
     # a bench's weights were proved without
     rows = alternatives(replace(case, bench=True))
     assert rows["a", "b"]["score"] - rows["b",]["score"] > 20
-
-
-def test_causes_that_move_the_rig_alike_are_weighed_together():
-    """Of a drive that is late a delay with a drift beside it was told before two single delays."""
-    late = {"u_delay", "y_delay"}
-    signs = SimpleNamespace(
-        names=(*late, "u_drift"), alike=lambda one, other: 0.999 if {one, other} <= late else 0.2
-    )
-    before = {
-        ("u_delay", "u_drift"): 0.4,
-        ("u_delay",): 0.37,
-        ("y_delay",): 0.18,
-        ("no_gap",): 0.05,
-    }
-    after = by_group(before, SimpleNamespace(tight=signs))
-    assert after == before and next(iter(after)) == ("u_delay",)
-    # the best of a group is told, not the one that is most like the others
-    middle = {"u_delay": 0.4, "y_delay": 0.25, "u_lag": 0.35}
-    signs.names, signs.alike = tuple(middle), lambda one, other: float("y_delay" in (one, other))
-    split = {(name,): p for name, p in sorted(middle.items(), key=lambda item: -item[1])}
-    assert next(iter(by_group(split, SimpleNamespace(tight=signs)))) == ("u_delay",)
-    leads = {("u_delay", "u_drift"): 0.6, ("y_delay",): 0.3, ("u_delay",): 0.1}
-    assert list(by_group(leads, SimpleNamespace(tight=signs))) == list(leads)
 
 
 def test_stribeck_friction_without_an_excess_is_coulomb_friction():

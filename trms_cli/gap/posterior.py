@@ -57,8 +57,7 @@ _RUN = 5
 class Posterior:
     """What is believed once all have raced."""
 
-    #: The answer first, then descending; effects, or of :data:`NO_EFFECT`
-    probabilities: Mapping[tuple[str, ...], float]
+    probabilities: Mapping[tuple[str, ...], float]  #: Descending; effects, or of :data:`NO_EFFECT`
     verdict: Verdict
     best: FittedModel | None  #: The most probable with effects
     corrected: FittedModel | None  #: What goes into the corrected model; None: the refit alone
@@ -279,7 +278,7 @@ def posterior_of(
         by_cause = merged(probabilities_of(own_features, constants.weights), special)
         return with_marked_sensors(by_cause, tuple(problem.marks))
 
-    probabilities = by_group(probabilities_given(features), race)
+    probabilities = probabilities_given(features)
     random = np.random.default_rng(np.random.SeedSequence([problem.seed, 0xB10C]))
     m = len(race.refit.structure.windows)
     resampled = tuple(
@@ -304,27 +303,6 @@ def posterior_of(
     return Posterior(
         probabilities, verdict, best, corrected, confusable, features, resampled, flexible
     )
-
-
-def by_group(
-    probabilities: Mapping[tuple[str, ...], float], race: Race
-) -> dict[tuple[str, ...], float]:
-    """First the likeliest of the causes that are together the likeliest.
-
-    Two that move the rig alike share a probability that would be one's, were the other no law.
-    """
-    signs = race.tight
-    known = set(signs.names)
-
-    def alike(names: tuple[str, ...], others: tuple[str, ...]) -> bool:
-        return len(names) == len(others) and all(
-            a == b or ({a, b} <= known and signs.alike(a, b) > _ALIKE)
-            for a, b in zip(names, others, strict=True)
-        )
-
-    groups = [[o for o in probabilities if alike(n, o)] for n in probabilities]
-    first = max(groups, key=lambda group: round(sum(probabilities[n] for n in group), 12))[0]
-    return {first: probabilities[first], **probabilities}
 
 
 def _verdict(
