@@ -12,6 +12,7 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, zip_longest
 from threading import Lock
 from typing import Any, TypeVar
@@ -39,6 +40,8 @@ Fitted = TypeVar("Fitted", bound=FittedModel)
 
 #: A tighter metric than the refit's own: what an effect does is not excused as discrepancy there.
 _TIGHTER = 3.0
+#: Nats behind the best within which a dry friction is searched on, and steps of that search.
+_OUTRUN, _LONG = 200.0, 30
 #: Nats. An effect whose trace, at the best of its sizes, promises less is not fitted.
 _HOPELESS = 1.5
 #: Nats of held-out prediction that another effect must add to be taken in.
@@ -157,6 +160,7 @@ def run_race(
         everyone += search.together(signs, everyone)
         everyone = better_of(everyone, search.with_less(everyone))
         everyone += search.special_cases(everyone)
+        everyone = search.searched_on(everyone)
         # from some moment on in place of throughout, where that says clearly more
         everyone = [later.pop(entry.names, entry) for entry in everyone] + [*later.values()]
     everyone.sort(key=lambda e: -e.fit.score)
@@ -401,6 +405,23 @@ class _Search:
             if len(best.names) > size:
                 break
         return results
+
+    def searched_on(self, entries: Sequence[FittedModel]) -> list[FittedModel]:
+        """Dry frictions not far behind the best, if that is one, from where they had ended.
+
+        Where a model sticks and slides steps are short: a friction alone had stopped 130 nats below
+        what it reaches, and another effect was told beside it. Benches are weighed as they ended.
+        """
+        best = max(entries, key=lambda e: e.fit.score)
+        least = best.fit.score - _OUTRUN if _is_dry(best) and not best.model.bench_sizes else np.inf
+
+        def on(entry: FittedModel) -> FittedModel:
+            key = "on " + "+".join(entry.names)
+            search = partial(entry.refitted, entry.metric, iterations=_LONG)
+            return self._once(key, entry.structure, search)
+
+        near = [entry for entry in entries if _is_dry(entry) and entry.fit.score > least]
+        return better_of(entries, self._each(on, near, (0.99, 0.99), "friction, searched on"))
 
     def _fit_special_case(self, entry: FittedModel, structure: ModelStructure) -> FittedModel:
         """A fit with simpler laws, from the sizes that both have."""
