@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -373,3 +374,34 @@ def test_weak_friction_is_found_with_precise_sensors():
     assert best.names == ("yaw_coulomb_friction",)
     assert best.values["yaw_coulomb_friction.torque"] == pytest.approx(0.0004, rel=0.05)
     assert best.fit.score > race.refit.fit.score + 50
+
+
+def test_dry_frictions_near_the_best_are_searched_on(monkeypatch):
+    """Of a pendulum with friction a cogging was told beside it, whose search had come farther."""
+
+    def entry(name, score, *, dry=True, bench=False, further=0.0):
+        own = SimpleNamespace(overrides=lambda method: dry and method == "impulse")
+        fitted = SimpleNamespace(
+            names=(name,),
+            fit=SimpleNamespace(score=score),
+            model=SimpleNamespace(bench_sizes=bench),
+            structure=SimpleNamespace(effects=[SimpleNamespace(effect=own)]),
+            metric=None,
+        )
+        fitted.refitted = lambda metric, iterations: entry(name, score + further)
+        return fitted
+
+    search = object.__new__(_Search)
+    search._jobs, search._watch = 1, lambda share, message: True
+    monkeypatch.setattr(search, "_once", lambda key, structure, work: work(), raising=False)
+
+    def scores(*entries):
+        return {e.names[0]: e.fit.score for e in search.searched_on(entries)}
+
+    near, far = entry("near", 900.0, further=130.0), entry("far", 100.0, further=130.0)
+    worse, lag = entry("worse", 950.0, further=-5.0), entry("lag", 940.0, dry=False, further=9.0)
+    best = entry("best", 1000.0)
+    expected = {"near": 1030.0, "far": 100.0, "worse": 950.0, "lag": 940.0, "best": 1000.0}
+    assert scores(near, far, worse, lag, best) == expected
+    assert scores(near, entry("lag", 1001.0, dry=False))["near"] == 900.0
+    assert scores(near, entry("best", 1000.0, bench=True))["near"] == 900.0
