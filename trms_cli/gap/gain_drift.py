@@ -47,7 +47,8 @@ class WanderingGains:
     @property
     def reach(self) -> FloatArray:
         """How far each coefficient may be from none, (k,): a zero by a step, a gain by anything."""
-        return np.append(np.full(np.sum(self.drive >= 0), np.inf), self.zeros * np.sqrt(12))
+        gains = np.full(np.count_nonzero(self.drive >= 0), np.inf)
+        return np.append(gains, self.zeros * np.sqrt(12))
 
     @cached_property
     def near(self) -> IntArray:
