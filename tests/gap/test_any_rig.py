@@ -216,11 +216,11 @@ def test_the_better_of_a_fit_and_that_in_its_own_metric_is_kept(monkeypatch, sco
 
 
 def test_a_zero_within_a_step_is_a_nuisance_where_the_motion_hangs_on_it():
-    def fitted(model, dataset: Dataset, step: float, zero: float):
+    def fitted(model, dataset: Dataset, step: float, zero: float, quanta=None):
         rounded = step * np.round(dataset.measurements / step)
         rounded[:, -1] += zero
         dataset = replace(dataset, measurements=rounded)
-        return refit(model, nominal_parameters(model), (dataset,), 0.5)
+        return refit(model, nominal_parameters(model), (dataset,), 0.5, quanta=quanta)
 
     step = 5e-4
     pole, zero = pole_recording(40.0, 0.0), 0.4 * step
@@ -230,6 +230,10 @@ def test_a_zero_within_a_step_is_a_nuisance_where_the_motion_hangs_on_it():
     assert shifted.fit.gains[-1] - plain.fit.gains[-1] == pytest.approx(zero, rel=0.1)
     assert abs(plain.fit.gains[-1]) < 0.2 * step
     assert biased.fit.gains[-1] == pytest.approx(step)  # the rest is an effect
+    # a zero is set by the step that is declared, though a finer one is read
+    declared = fitted(POLE, pole, step, 3 * step, {"angle": 8 * step})
+    assert declared.metric.drift.zeros == pytest.approx([8 * step / np.sqrt(12)])
+    assert declared.fit.gains[-1] - plain.fit.gains[-1] == pytest.approx(3 * step, rel=0.1)
     servo = fitted(SERVO, servo_recording(20.0, 0.0), 1e-5, 0.0)
     assert len(servo.metric.drift.zeros) == 0
 

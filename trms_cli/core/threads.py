@@ -5,9 +5,9 @@ of the libraries beneath NumPy only wait for each other, on a busy machine for s
 diagnosis takes ten times as long, and a training fifty times. The libraries read their number when
 NumPy is loaded, so that it is set before.
 
-CasADi lets go of the interpreter's lock in every call, and its expressions share nodes (constants,
-for one) whose use by two threads at once ends the process: in CasADi 3.8.2, threads that do nothing
-but build Jacobians crash within seconds. Whatever builds symbols in a thread waits for its turn.
+CasADi lets go of the interpreter's lock in every call, and expressions that two threads build at
+once end the process: with CasADi 3.8.2, threads that do nothing but build Jacobians crash within
+seconds. Whatever builds symbols in a thread waits for its turn.
 """
 
 import os

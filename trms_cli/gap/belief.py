@@ -117,9 +117,7 @@ class Features:
     deviations: FloatArray = field(default_factory=lambda: np.zeros(0))
     #: (k, m) array; scores by block
     by_block: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    bench: bool = (
-        False  #: Whether of a bench, whose weights were proved with looser scores of pairs
-    )
+    bench: bool = False  #: Whether pairs are weighed as those of benches were proved
 
 
 #: nats. Discrepancy beyond the usual that hardly counts.
