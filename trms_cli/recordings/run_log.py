@@ -14,12 +14,13 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
-from operator import itemgetter
+from itertools import starmap
 from pathlib import Path
 from types import FrameType
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, Self
 
 import msgspec
 import numpy as np
@@ -27,7 +28,7 @@ import numpy as np
 from trms_cli import __version__
 from trms_cli.core.errors import RecordingError
 from trms_cli.core.whole_file import BINARY, NO_ROOM, explain_os_error
-from trms_cli.recordings.chunk_writer import ChunkWriter
+from trms_cli.recordings.chunk_writer import ChunkWriter, Messages
 from trms_cli.recordings.topics import (
     EVENT_TOPIC,
     RUN_METADATA,
@@ -97,7 +98,8 @@ class RunLog:
     JSON as bytes. ``run_metadata``: goes into the ``trms.run`` record: command, seed, versions, git
     revision, … ``attachments``: media type and content by file name: the resolved config, the
     parameters. ``publish_time``: what messages carry as such: the wall clock (simulated runs), or
-    the log time itself (recordings of a rig).
+    the log time itself (recordings of a rig). ``every``: topics of which each so many-th row of
+    :meth:`write_rows` is kept, from the first on; 0 for none.
 
     Raises RecordingError when the file exists or cannot be created, and from any later write that
     fails. A failed write leaves everything up to the last flush readable.
@@ -111,11 +113,14 @@ class RunLog:
         attachments: Mapping[str, tuple[str, bytes]] | None = None,
         *,
         publish_time: Literal["wall", "log"] = "wall",
+        every: Mapping[str, int] | None = None,
     ) -> None:
         self.path = Path(path)
+        self._every = dict(every or {})
+        self._passed = dict.fromkeys(self._every, 0)  # rows of these so far
         self.safe_until_s: float | None = None  # run time up to which the file holds all
         self._wall_clock = publish_time == "wall"
-        self._rows: list[tuple[_Channel, int, int, tuple[Any, ...]]] = []
+        self._buffered = 0  # rows
         self._last_time_ns = 0
         self._run = {
             "schema": RUN_SCHEMA,
@@ -146,15 +151,49 @@ class RunLog:
         """Return :meth:`write` for one topic: what a loop calls several times a step."""
         return partial(self._append, self._channel(topic))
 
+    def write_rows(
+        self,
+        times_ns: Sequence[int],
+        wall_ns: Sequence[int],
+        rows: Mapping[str, Sequence[Sequence[Any]] | np.ndarray],
+    ) -> None:
+        """Log rows of several topics at the same run times; they are kept until :meth:`flush`.
+
+        ``times_ns``, ``wall_ns``: n each, run time and wall clock. ``rows``: n rows of each topic,
+        (n, fields) where all are numbers.
+        """
+        published = wall_ns if self._wall_clock else times_ns
+        for topic, values in rows.items():
+            channel, kept = self._channel(topic), self._kept(topic, len(times_ns))
+            channel.log_times += times_ns[kept]
+            channel.publish_times += published[kept]
+            new = values[kept]
+            channel.rows += new.tolist() if isinstance(new, np.ndarray) else new
+            self._note(len(times_ns))
+
+    def _kept(self, topic: str, count: int) -> slice:
+        """Which of the next rows of a topic are kept."""
+        every = self._every.get(topic, 1)
+        if every == 1:
+            return slice(None)
+        passed = self._passed[topic]
+        self._passed[topic] = passed + count
+        return slice(-passed % every, None, every) if every else slice(0)
+
     def _append(self, channel: _Channel, time_ns: int, values: Sequence[Any] | np.ndarray) -> None:
         if channel.has_arrays:
             values = [v.tolist() if isinstance(v, np.ndarray) else v for v in values]
         elif type(values) is np.ndarray:
             values = values.tolist()
-        wall = time.time_ns() if self._wall_clock else time_ns
-        rows = self._rows
-        rows.append((channel, time_ns, wall, tuple(values)))
-        if len(rows) >= _MAX_BUFFERED_ROWS:
+        channel.log_times.append(time_ns)
+        channel.publish_times.append(time.time_ns() if self._wall_clock else time_ns)
+        channel.rows.append(tuple(values))
+        self._note(1)
+
+    def _note(self, count: int) -> None:
+        """Count the rows that came, and make sure that they do not fill the memory."""
+        self._buffered += count
+        if self._buffered >= _MAX_BUFFERED_ROWS:
             self.flush()
 
     def _channel(self, topic: str) -> _Channel:
@@ -171,17 +210,14 @@ class RunLog:
 
     def flush(self) -> None:
         """Pass everything so far to the operating system; a killed process keeps it."""
-        if self._is_closed or not self._rows:
+        if self._is_closed or not self._buffered:
             return
         with _DeferredInterrupt():  # Ctrl-C amid a record would spoil the chunk
-            # Readers and `mcap doctor` want log times that never run back.
-            self._rows.sort(key=itemgetter(1))
-            rows, self._rows = self._rows, []
-            self._writer.add_chunk(
-                (channel.id, log_time, publish_time, channel.encode(values))
-                for channel, log_time, publish_time, values in rows
-            )
-            self._last_time_ns = max(self._last_time_ns, rows[-1][1])
+            self._buffered = 0
+            messages = [channel.take() for channel in self._channels.values() if channel.rows]
+            self._writer.add_chunk(messages)
+            last = max(time_ns for group in messages for time_ns in group.log_times)
+            self._last_time_ns = max(self._last_time_ns, last)
             self._flush_stream()
             self.safe_until_s = self._last_time_ns * 1e-9
 
@@ -237,7 +273,7 @@ class RunLog:
     def _register(self, topic: Topic | EncodedTopic) -> _Channel:
         if isinstance(topic, EncodedTopic):  # its messages are JSON already
             number = self._writer.add_channel(topic.name, topic.schema_name, topic.schema)
-            return _Channel(number, False, itemgetter(0))
+            return _Channel(number, False, _encoded)
         schema = json.dumps(topic.json_schema(), ensure_ascii=False).encode()
         number = self._writer.add_channel(topic.name, topic.schema_name, schema)
         return _Channel(number, any(f.kind == "array" for f in topic.fields), _encoder(topic))
@@ -251,7 +287,6 @@ class RunLog:
 
     def _abandon(self, error: OSError) -> RecordingError:
         self._is_closed = True
-        self._rows.clear()
         self._stream.close()
         if self.safe_until_s is None:
             consequence = "nothing of the run is in the log"
@@ -262,26 +297,41 @@ class RunLog:
         return explained
 
 
-class _Channel(NamedTuple):
-    """A topic's MCAP channel, and what makes a message's JSON of its values."""
+@dataclass(slots=True)
+class _Channel:
+    """A topic's MCAP channel, what makes JSON of its rows, and those that are not written yet."""
 
     id: int
     has_arrays: bool
-    encode: Callable[[tuple[Any, ...]], bytes]
+    encode: Callable[[Sequence[Sequence[Any]]], list[bytes]]
+    log_times: list[int] = field(default_factory=list)  #: ns
+    publish_times: list[int] = field(default_factory=list)  #: ns
+    rows: list[Sequence[Any]] = field(default_factory=list)
+
+    def take(self) -> Messages:
+        """The rows so far as messages; none of them is left, whether or not they can be encoded."""
+        times, published, rows = self.log_times, self.publish_times, self.rows
+        self.log_times, self.publish_times, self.rows = [], [], []
+        return Messages(self.id, times, published, self.encode(rows))
 
 
-def _encoder(topic: Topic) -> Callable[[tuple[Any, ...]], bytes]:
-    """Makes JSON of a topic's values; numbers that are not finite become null."""
+def _encoded(rows: Sequence[Sequence[bytes]]) -> list[bytes]:
+    return [row[0] for row in rows]
+
+
+def _encoder(topic: Topic) -> Callable[[Sequence[Sequence[Any]]], list[bytes]]:
+    """Makes JSON of a topic's rows; numbers that are not finite become null."""
     # A struct encodes in a third of the time of a dict. Its attributes are numbered, because a
     # field may have any name.
     names = {f"f{index}": name for index, name in enumerate(topic.field_names)}
     message = msgspec.defstruct("Message", [(key, Any) for key in names], rename=names, gc=False)
 
-    def encode(values: tuple[Any, ...]) -> bytes:
+    def encode(rows: Sequence[Sequence[Any]]) -> list[bytes]:
         try:
-            return _encode(message(*values))
+            return list(map(_encode, starmap(message, rows)))
         except TypeError:
-            if len(values) == len(names):
+            values = next((row for row in rows if len(row) != len(names)), None)
+            if values is None:
                 raise
             raise ValueError(
                 f"{topic.name} takes {len(names)} values ({', '.join(topic.field_names)}), "

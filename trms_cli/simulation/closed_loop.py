@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 
 from trms_cli.controllers.controller import Command, Controller, ControlSample, ControlSetup, Status
-from trms_cli.core.arrays import FloatArray
+from trms_cli.core.arrays import FloatArray, IntArray
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.models.estimate import Estimate
 from trms_cli.models.model import Model, Signal, names
@@ -342,10 +342,13 @@ class Loop:
         per_second = max(1, round(1.0 / e.sample_time))
         controlled = [e.model.state_index(name) for name in e.model.controlled]
         state_names = names(plant.states)
-        log_reference, log_command = history.writer("/reference"), history.writer("/command")
-        log_measurement, log_state = history.writer("/measurement"), history.writer("/plant/state")
-        log_estimate, log_known = history.writer("/estimate"), history.writer("/disturbance")
-        log_timing = history.writer("/timing")
+        signals = {"/reference": 1, "/command": 1, "/measurement": 1, "/plant/state": 1}
+        log_signals = history.signal_writer(
+            signals | {"/estimate": ESTIMATE_PARTS},
+            {"/estimate": estimate_order(history.fields.get("/estimate", ()), len(plant.outputs))},
+        )
+        log_known, log_timing = history.writer("/disturbance"), history.writer("/timing")
+        references = list(self.references)
         measured, known_torques = self._known_torques()
         faults = getattr(plant, "faults", ())
         delayed = self._ahead is not None
@@ -366,13 +369,15 @@ class Loop:
             begun_at = now()
             y = plant.measure()
             read_at = now()
-            truth_row = plant.state.tolist()
+            truth_state = plant.state.copy()
             before = self._u
             if delayed:
                 self._apply(pending)
                 sent_at = now()
             screened_y = watch.screen(envelope.screen(y, tell))
-            truth = dict(zip(state_names, truth_row, strict=True)) if state_names else None
+            truth = None
+            if state_names:
+                truth = dict(zip(state_names, truth_state.tolist(), strict=True))
             if known_torques is None:
                 estimate = e.observer.step(self._observer_state, before, screened_y, truth)
             else:
@@ -397,11 +402,10 @@ class Loop:
                     sent_at = now()
             finally:
                 self._log_answer(answer)
-                log_reference(now_ns, self.references[k].tolist())
-                log_command(now_ns, self._u.tolist())
-                log_measurement(now_ns, y.tolist())
-                log_state(now_ns, truth_row)
-                log_estimate(now_ns, estimate_row(estimate))
+                log_signals(
+                    now_ns,
+                    (references[k], self._u, y, truth_state, *estimate_parts(estimate)),
+                )
                 if known_torques is not None:
                     log_known(now_ns, measured[k].tolist())
                 if any(estimate.rejected.tolist()):
@@ -513,25 +517,23 @@ class Loop:
         command, now_ns = answer.command, self._now_ns
         if command is None:
             return
-        self._tell_control(
-            now_ns,
-            (
-                answer.spent,
-                command.linearise_time,
-                command.qp_time,
-                command.iterations,
-                command.status.label,
-                command.objective,
-                command.slack,
-                command.kkt_residual,
-                bool(command.fallback),
-                answer.spent > self.experiment.sample_time,  # false for what took no time (NaN)
-                command.message,
-                self._supervisor.mode.value,
-                self._supervisor.reasons(),
-                command.terminal_residual,
-            ),
+        words = (
+            answer.spent,
+            command.linearise_time,
+            command.qp_time,
+            command.iterations,
+            command.status.label,
+            command.objective,
+            command.slack,
+            command.kkt_residual,
+            bool(command.fallback),
+            answer.spent > self.experiment.sample_time,  # false for what took no time (NaN)
+            command.message,
+            self._supervisor.mode.value,
+            self._supervisor.reasons(),
+            command.terminal_residual,
         )
+        self._tell_control(now_ns, words)
         if command.prediction is not None:
             p = command.prediction
             self._tell_prediction(now_ns, (p.time, *p.states.T, *p.inputs.T))
@@ -557,16 +559,33 @@ def _ending(error: BaseException) -> str:
     return "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
 
 
-def estimate_row(estimate: Estimate) -> list[float]:
-    """An estimate in the order of the log's fields; see :func:`estimate_fields`."""
-    row = [*estimate.x.tolist(), *estimate.disturbance.tolist()]
-    row += estimate.sd.tolist()
-    row += estimate.disturbance_sd.tolist()
-    of_channels = [0.0] * (3 * len(estimate.predicted))
-    of_channels[0::3] = estimate.predicted.tolist()
-    of_channels[1::3] = estimate.innovation.tolist()
-    of_channels[2::3] = estimate.innovation_sd.tolist()
-    return row + of_channels
+#: Arrays of an estimate that its log row is made of.
+ESTIMATE_PARTS = 7
+
+
+def estimate_parts(estimate: Estimate) -> tuple[FloatArray, ...]:
+    """The arrays that a log row of an estimate is made of; see :func:`estimate_order`."""
+    return (
+        estimate.x,
+        estimate.disturbance,
+        estimate.sd,
+        estimate.disturbance_sd,
+        estimate.predicted,
+        estimate.innovation,
+        estimate.innovation_sd,
+    )
+
+
+def estimate_order(fields: Sequence[str], n_y: int) -> IntArray:
+    """Where each of the log's fields stands in :func:`estimate_parts`, one after another.
+
+    The log has prediction, innovation and its spread of each channel side by side.
+    """
+    order = np.arange(len(fields))
+    beside = len(fields) - 3 * n_y
+    if beside >= 0:
+        order[beside:] = beside + np.arange(3 * n_y).reshape(3, n_y).T.ravel()
+    return order
 
 
 def tell_rejected(

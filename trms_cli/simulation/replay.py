@@ -15,7 +15,13 @@ import numpy as np
 from trms_cli.models.model import Model, names
 from trms_cli.observers.observer import Observer, ObserverSetup
 from trms_cli.recordings.for_model import RecordedRun
-from trms_cli.simulation.closed_loop import Progress, estimate_row, tell_rejected
+from trms_cli.simulation.closed_loop import (
+    ESTIMATE_PARTS,
+    Progress,
+    estimate_order,
+    estimate_parts,
+    tell_rejected,
+)
 from trms_cli.simulation.gap_watch import GapWatchPlugin, GapWatchRun, NoGapWatch
 from trms_cli.simulation.history import History
 
@@ -69,8 +75,11 @@ class Replay:
         per_second = max(1, round(1.0 / rig.sample_time))
         angles = [i for i, signal in enumerate(rig.outputs) if signal.unit == "rad"]
         references = np.column_stack([*rig.references.values()]) if rig.references else None
-        log_reference, log_command = history.writer("/reference"), history.writer("/command")
-        log_measurement, log_estimate = history.writer("/measurement"), history.writer("/estimate")
+        parts = {"/command": 1, "/measurement": 1, "/estimate": ESTIMATE_PARTS}
+        order = estimate_order(history.fields.get("/estimate", ()), len(rig.outputs))
+        log_signals = history.signal_writer(
+            parts if references is None else {"/reference": 1} | parts, {"/estimate": order}
+        )
         times_ns = log_times(rig)
         happenings = list(reversed(rig.happenings))
         u = rig.commands[max(self.completed_samples - 1, 0)]
@@ -84,11 +93,8 @@ class Replay:
             for alarm in self._gap_watch.step(u, y):
                 history.event(now_ns, "gap_alarm", alarm.location, alarm.words, alarm.size)
             u = rig.commands[k]
-            if references is not None:
-                log_reference(now_ns, references[k].tolist())
-            log_command(now_ns, u.tolist())
-            log_measurement(now_ns, y.tolist())
-            log_estimate(now_ns, estimate_row(estimate))
+            signals = (u, y, *estimate_parts(estimate))
+            log_signals(now_ns, signals if references is None else (references[k], *signals))
             if estimate.rejected.any():
                 tell_rejected(history, now_ns, estimate, rig.outputs)
             self.completed_samples = k + 1

@@ -81,10 +81,11 @@ def perform(composition: Composition, listener: Listener) -> Done:
             | _process_of(experiment)
             | ({THINNED_KEY: json.dumps(every)} if every else {}),
             assembly.attachments(composition, experiment.model, getattr(plant, "parameters", None)),
+            every=every,
         )
         logs.append(log)
         note_run(log.path)
-        return History(assembly.units_of(topics), scene.sink(log), every)
+        return History(assembly.units_of(topics), scene.sink(log))
 
     # What is not finite is looked for and told in words: NumPy's warnings would only repeat it.
     with (

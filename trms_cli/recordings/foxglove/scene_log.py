@@ -1,14 +1,14 @@
 """Adds the 3D view to a log while it is written: a pose every few samples.
 
 Stands between a run's history and its log. The loop knows nothing of it: what it logs of the
-angles and commands is remembered, and at the last topic of a sample a pose is made of it. A log
+angles and commands is remembered, and every so many samples a pose is made of it. A log
 that was written already gains the same poses in a copy; one that has some is given new ones.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ import numpy as np
 
 from trms_cli.core.scene import GHOSTS
 from trms_cli.core.whole_file import whole_file
-from trms_cli.recordings.chunk_writer import ChunkWriter
+from trms_cli.recordings.chunk_writer import ChunkWriter, Messages
 from trms_cli.recordings.foxglove import types as foxglove
 from trms_cli.recordings.foxglove.messages import Attitudes, SceneEncoder, log_line
 from trms_cli.recordings.run_log import LIBRARY, RunLog
@@ -116,52 +116,39 @@ class SceneLog:
     """A log that gains poses; takes a log's place as the sink of a run's history.
 
     ``log``: open, with the topics of :func:`~trms_cli.recordings.foxglove.types.encoded_topics`.
-    ``every``: samples from one pose to the next. ``last_topic``: the one that ends a sample.
+    ``every``: samples from one pose to the next.
     """
 
-    def __init__(
-        self,
-        log: RunLog,
-        encoder: SceneEncoder,
-        sources: Sources,
-        every: int,
-        last_topic: str = "/estimate",
-    ) -> None:
+    def __init__(self, log: RunLog, encoder: SceneEncoder, sources: Sources, every: int) -> None:
         self._log = log
         self._encoder = encoder
         self._every, self._remaining = every, 0
-        self._last_topic = last_topic
         self._watched = {topic for topic, *_ in sources.attitudes.values()} | {_COMMANDS}
+        self._rig_topic = sources.attitudes[""][0]
         self._memory = PoseMemory(sources)
-        self._rows: dict[str, Row] = {}
         self._transforms, self._bodies, self._arrows, self._lines = map(
             log.writer, foxglove.SCENE_TOPICS
         )
         self._empty = True
 
-    def writer(self, topic: str) -> Callable[[int, Row], None]:
-        """What takes the rows of a topic."""
-        write, rows = self._log.writer(topic), self._rows
-        if topic == self._last_topic:
-
-            def write_and_pose(time_ns: int, values: Row) -> None:
-                write(time_ns, values)
-                if self._remaining:
-                    self._remaining -= 1
-                    return
-                rows[topic] = values
-                self._remaining = self._every - 1
-                self._pose(time_ns)
-
-            return write_and_pose
-        if topic not in self._watched:
-            return write
-
-        def write_and_remember(time_ns: int, values: Row) -> None:
-            write(time_ns, values)
-            rows[topic] = values
-
-        return write_and_remember
+    def write_rows(
+        self,
+        times_ns: Sequence[int],
+        wall_ns: Sequence[int],
+        rows: Mapping[str, Sequence[Row] | np.ndarray],
+    ) -> None:
+        """Log rows of several topics, and poses where they have the rig's attitude."""
+        self._log.write_rows(times_ns, wall_ns, rows)
+        if self._rig_topic not in rows:
+            return
+        first, self._remaining = self._remaining, (self._remaining - len(times_ns)) % self._every
+        watched = {
+            topic: np.asarray(values).tolist()
+            for topic, values in rows.items()
+            if topic in self._watched
+        }
+        for k in range(first, len(times_ns), self._every):
+            self._pose(times_ns[k], {topic: values[k] for topic, values in watched.items()})
 
     def event(
         self, time_ns: int, kind: str, source: str, message: str, value: float = math.nan
@@ -174,11 +161,11 @@ class SceneLog:
         """Make everything so far safe."""
         self._log.flush()
 
-    def _pose(self, time_ns: int) -> None:
+    def _pose(self, time_ns: int, rows: Mapping[str, Row]) -> None:
         if self._empty:
             self._empty = False
             self._bodies(time_ns, (self._encoder.bodies(time_ns),))
-        attitudes, shares = self._memory.take(self._rows)
+        attitudes, shares = self._memory.take(rows)
         self._transforms(time_ns, (self._encoder.transforms(time_ns, attitudes),))
         self._arrows(time_ns, (self._encoder.commands(time_ns, shares),))
 
@@ -296,6 +283,13 @@ def _write_chunks(writer: ChunkWriter, messages: _Pending) -> None:
     start = 0
     for k, message in enumerate(messages):
         if message[1] - messages[start][1] >= _SECOND:
-            writer.add_chunk(messages[start:k])
+            writer.add_chunk(_by_channel(messages[start:k]))
             start = k
-    writer.add_chunk(messages[start:])
+    writer.add_chunk(_by_channel(messages[start:]))
+
+
+def _by_channel(messages: _Pending) -> list[Messages]:
+    groups: dict[int, list[tuple[int, int, bytes]]] = {}
+    for channel, log_time, publish_time, data in messages:
+        groups.setdefault(channel, []).append((log_time, publish_time, data))
+    return [Messages(channel, *zip(*group, strict=True)) for channel, group in groups.items()]
