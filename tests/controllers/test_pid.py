@@ -3,11 +3,13 @@ beforehand: the curve of a rotor, the inverse of an axis, the coupling.
 """
 
 import math
+from collections.abc import Callable, Sequence
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from trms_cli.controllers.pid import Pid, PidState, _derivatives, _guided, _through_rotor
+from trms_cli.controllers.pid import Pid, PidState
 from trms_cli.controllers.pid_feed_forward import (
     INVERTED,
     PiecewiseLinear,
@@ -21,6 +23,7 @@ from trms_cli.controllers.pid_feed_forward import (
     rotor_tables,
     torque_curve,
 )
+from trms_cli.controllers.pid_law import STATE, AxisExpressions, AxisLaw
 from trms_cli.controllers.pid_tuning import (
     AxisPlant,
     Filters,
@@ -48,6 +51,29 @@ BOTH = Newtonian()
 
 def started(controller: Pid, u: np.ndarray | None = None) -> PidState:
     return controller.init(setup_of(BOTH, SAMPLE_TIME, u))
+
+
+Term = Callable[[AxisExpressions, ca.MX], Sequence[ca.MX]]
+
+
+class Stepped:
+    """A term of the law of one axis by itself, stepped with what it remembers."""
+
+    def __init__(self, axis: AxisLaw, term: Term) -> None:
+        value, p = ca.MX.sym("value"), ca.MX.sym("p", axis.layout.size)
+        state = ca.MX.sym("state", axis.layout.states)
+        expressions = AxisExpressions(axis.layout, p, 0, state)
+        results = ca.vertcat(*term(expressions, value))
+        self._function = ca.Function("term", [value, state, p], [results, expressions.after()])
+        self._numbers, self._memory = axis.numbers(), np.zeros(axis.layout.states)
+
+    def __call__(self, value: float) -> tuple[float, ...]:
+        results, memory = self._function(value, self._memory, self._numbers)
+        self._memory = np.array(memory)[:, 0]
+        return tuple(np.array(results)[:, 0].tolist())
+
+    def remembered(self, name: str) -> float:
+        return float(self._memory[STATE.index(name)])
 
 
 def sines(times: np.ndarray) -> np.ndarray:
@@ -230,7 +256,9 @@ def test_the_reference_asks_for_no_more_than_the_rotor_has() -> None:
     Half of it is for the feedback.
     """
     axis = started(Pid()).axes[1]
-    followed, torques = zip(*(_guided(axis, 2.0) for _ in range(500)), strict=True)
+    still = (ca.MX(0.0), ca.MX(0.0))
+    guided = Stepped(axis, lambda law, reference: law.guided(reference, still))
+    followed, torques = zip(*(guided(2.0) for _ in range(500)), strict=True)
     assert min(torques) >= axis.least / 2 and max(torques) <= axis.most / 2 + 1e-12
     assert max(torques) > 0.4 * axis.most
     assert followed[-1] == pytest.approx(2.0, abs=1e-3)
@@ -282,25 +310,28 @@ def test_a_smooth_reference_is_followed_without_the_lags_of_the_filter() -> None
 
 def test_a_jump_of_the_reference_is_no_rate() -> None:
     axis = started(Pid()).axes[1]
+    derivatives, of_hops = (Stepped(axis, AxisExpressions.derivatives) for _ in range(2))
     ramp = 0.1 * SAMPLE_TIME * np.arange(10)
     jumped = [*ramp, *(ramp + 0.5), *([1.5] * 5)]
-    rates, accelerations = zip(*(_derivatives(axis, r) for r in jumped), strict=True)
+    rates, accelerations = zip(*(derivatives(r) for r in jumped), strict=True)
     np.testing.assert_allclose(rates[2:21], 0.1, rtol=1e-9)  # through the jump at 10
     assert np.abs(accelerations[2:]).max() < 1e-9
     np.testing.assert_allclose(rates[22:], 0.0, atol=1e-9)
     # A reference that only jumps has no rate.
-    hopping = [_derivatives(axis, 1.5 + 0.1 * (k % 2))[0] for k in range(6)]
+    hopping = [of_hops(1.5 + 0.1 * (k % 2))[0] for k in range(6)]
     np.testing.assert_allclose(hopping[3:], 0.0, atol=1e-9)
 
 
 def test_the_lead_is_of_the_input_and_limits_tell_the_torque_that_is_left() -> None:
     axis = started(Pid()).axes[1]
+    rotor = Stepped(axis, AxisExpressions.through_rotor)
     for _ in range(200):
-        u, torque = _through_rotor(axis, 0.03)
+        u, torque = rotor(0.03)
     assert (u, torque) == (pytest.approx(axis.curve.at(0.03)), 0.03)
-    u, torque = _through_rotor(axis, -0.03)  # the rotor turns round
+    u, torque = rotor(-0.03)  # the rotor turns round
     volts = axis.curve.at(-0.03)
-    uncut = axis.lagged + axis.lead * (volts - axis.lagged)
+    lagged = rotor.remembered("lagged")
+    uncut = lagged + axis.lead * (volts - lagged)
     assert uncut < -2.5 and u == -2.5 and -0.03 < torque < 0.03
 
 

@@ -49,6 +49,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
+import casadi as ca
+import numpy as np
 from msgspec import Meta
 
 from trms_cli.controllers.controller import (
@@ -60,78 +62,32 @@ from trms_cli.controllers.controller import (
 )
 from trms_cli.controllers.fallback import NOT_FINITE, hold_command
 from trms_cli.controllers.pid_design import AxisDesign, PidDesign
-from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS, PathMemory, PiecewiseLinear
+from trms_cli.controllers.pid_feed_forward import ROTOR_OF_AXIS
+from trms_cli.controllers.pid_law import AxisLaw, LawLayout, law
 from trms_cli.controllers.pid_tuning import AxisMargins, Gains
+from trms_cli.core.arrays import FloatArray
+from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.errors import ConfigurationError
 from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.model import Model
-
-#: s in which an axis that friction stopped beside its reference is to get there.
-_CLOSING = 5.0
-#: Part of the friction that closes an error: with all of it, lags make the axis swing about its
-#: reference, as a relay would.
-_FOR_CLOSING = 0.7
-#: Part of the rotor's torque that a reference may ask for, the rest is left to the feedback; and of
-#: what holding the axis leaves, where that takes most of it.
-_FOR_REFERENCE, _AT_LEAST = 0.5, 0.25
-#: Samples that a jump of the reference spoils: the difference to it, and that from it.
-_JUMP = 2
-
-
-@dataclass(slots=True)
-class AxisState:
-    """One axis: its fixed numbers and what it remembers."""
-
-    #: ``state``, ``reference``, ``channel``: Positions of the angle in x, of its reference, and of
-    #: its input in u
-    state: int
-    reference: int
-    channel: int
-    gains: Gains
-    step: float  #: T, s
-    curve: PiecewiseLinear  #: Input by torque, V by N m
-    torque_of: PiecewiseLinear  #: Its inverse
-    holding: PiecewiseLinear | None  #: Torque by angle, N m by rad; None without feed-forward
-    friction: PiecewiseLinear | None  #: Torque by rate, N m by rad/s; None without
-    #: c_1, c_2, c_3: torque by the derivatives of the reference, N m s/rad and so on
-    inverse: list[float]
-    ahead: list[float]  #: The same before the lead
-    memories: tuple[PathMemory, ...]  #: of the axis' path
-    keep: float  #: a, the share that the filter of D keeps
-    derivative_gain: float  #: k_d (1 − a)/T
-    tracking: float  #: T/T_t τ/τ_f, at most 1
-    coupling: list[float]  #: Torque by the rate of m_ff of each axis before this one, s
-    burdens: list[PiecewiseLinear]  #: Torque by m_ff of each axis before this one, N m by N m
-    #: ``lead``, ``slow``: τ/τ_f, and the part that the lead's lag keeps over a period
-    lead: float
-    slow: float
-    reference_rate: float  #: One over the reference's lag, 1/s; 0 for none
-    least: float  #: Torque at the lower limit of the input, N m
-    most: float  #: At the upper one, N m
-    integral: float = 0.0  #: I, N m
-    derivative: float = 0.0  #: D, N m
-    lagged: float = 0.0  #: φ(m) behind τ_f, V
-    forward: float = 0.0  #: m_ff without what other axes ask for, N m
-    forward_lag: float = 0.0  #: m_ff behind τ_f, N m
-    forward_rate: float = 0.0  #: and so its rate, N m/s
-    last_error: float = math.nan  #: α − r̃ (or α), rad; NaN before the first sample
-    #: r̃ and its two derivatives, rad, rad/s, rad/s²
-    guide: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    last_reference: float = math.nan  #: rad; NaN before the first sample
-    reference_difference: float = 0.0  #: Of the last two references by T, rad/s
-    followed_rate: float = 0.0  #: Of the reference, jumps left out, rad/s
-    jumping: int = 0  #: Samples since the reference was smooth
-    remembered: list[float] = field(default_factory=list)  #: Values of the memories along r̃
 
 
 @dataclass
 class PidState:
     """All axes."""
 
-    axes: list[AxisState]
+    axes: tuple[AxisLaw, ...]
     #: Robustness of each axis' loop, the worst of the operating points
     margins: Mapping[str, AxisMargins]
+    sample: BufferedFunction  #: Of the law, with arrays of its own; see :func:`.pid_law.law`
+    begin: ca.Function  #: What is remembered at first
+    has_begun: bool = False
+
+    @property
+    def remembered(self) -> FloatArray:
+        """What the law remembers; see :data:`trms_cli.controllers.pid_law.STATE`."""
+        return self.sample.inputs[3]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,12 +152,16 @@ class Pid(PresentReference):
             derivative_filter=self.derivative_filter,
             lead_filter=self.lead_filter,
         ).of(model, T)
-        return PidState(
-            [self._axis(model, design, T) for design in designs.values()],
-            {name: design.margins for name, design in designs.items()},
-        )
+        axes = tuple(self._axis(model, design, T) for design in designs.values())
+        sizes = (model.n_x, len(model.controlled), model.n_u)
+        layout = LawLayout(sizes, tuple(axis.layout for axis in axes), self.reference_rates)
+        functions = law(layout)
+        sample = BufferedFunction(functions["sample"])
+        sample.inputs[4][:] = np.concatenate([axis.numbers() for axis in axes])
+        margins = {name: design.margins for name, design in designs.items()}
+        return PidState(axes, margins, sample, functions["begin"])
 
-    def _axis(self, model: Model, design: AxisDesign, T: float) -> AxisState:
+    def _axis(self, model: Model, design: AxisDesign, T: float) -> AxisLaw:
         gains, filters, curve = design.gains, design.filters, design.curve
         keep = filters.derivative / (filters.derivative + T)
         tracking = self.tracking_time
@@ -211,155 +171,42 @@ class Pid(PresentReference):
         lag = self.reference_lag
         if lag is None:
             lag = max(design.rotor_lag, 10 * T)
-        return AxisState(
+        feeds = self.feed_forward
+        return AxisLaw(
             state=model.state_index(design.angle),
             reference=model.controlled.index(design.angle),
             channel=design.channel,
             gains=gains,
             step=T,
+            weight=self.setpoint_weight,
             curve=curve,
-            torque_of=curve.inverse(),
-            holding=design.holding if self.feed_forward else None,
-            friction=design.friction if self.feed_forward else None,
-            inverse=list(design.inverse[1:]),
-            ahead=list(design.forward[1:]),
-            memories=design.memories if self.feed_forward else (),
-            remembered=[0.0] * len(design.memories),
+            holding=design.holding if feeds else None,
+            friction=design.friction if feeds else None,
+            inverse=design.inverse[1:],
+            ahead=design.forward[1:],
+            memories=design.memories if feeds else (),
             keep=keep,
             derivative_gain=gains.kd * (1 - keep) / T,
             tracking=min(1.0, T / tracking * filters.ratio),
-            coupling=list(design.coupling) if self.feed_forward else [],
-            burdens=list(design.burdens) if self.feed_forward else [],
+            coupling=design.coupling if feeds else (),
+            burdens=design.burdens if feeds else (),
             lead=filters.ratio,
             slow=filters.lead_filter / (filters.lead_filter + T),
+            lead_filter=self.lead_filter,
             reference_rate=1 / lag if lag > 0 else 0.0,
-            least=curve.x[0],
-            most=curve.x[-1],
         )
 
     def step(self, state: PidState, sample: ControlSample, *, want_prediction: bool) -> Command:
-        x = sample.estimate.x.tolist()
-        reference = sample.reference[0].tolist()
-        u = sample.previous_command.copy()
-        if not math.isfinite(sum(x) + sum(reference)):
-            return hold_command(u, NOT_FINITE)
-        weight = self.setpoint_weight
-        if math.isnan(state.axes[0].last_error):
-            for axis in state.axes:
-                beside = _from_others(state.axes, axis)
-                _start(axis, x[axis.state], float(u[axis.channel]), weight, beside)
-        for axis in state.axes:
-            angle, gains = x[axis.state], axis.gains
-            wanted = reference[axis.reference]
-            slopes = _derivatives(axis, wanted) if self.reference_rates else (0.0, 0.0)
-            goal, forward = _guided(axis, wanted, slopes)
-            behind = angle - goal if axis.reference_rate else angle
-            axis.derivative = axis.keep * axis.derivative - axis.derivative_gain * (
-                behind - axis.last_error
-            )
-            axis.last_error = behind
-            terms = gains.kp * (weight * goal - angle) + axis.integral + axis.derivative
-            if axis.friction is not None:
-                along = axis.friction.at(axis.guide[1])
-                closing = axis.friction.at(axis.guide[1] + (goal - angle) / _CLOSING)
-                terms += along + _FOR_CLOSING * (closing - along)
-            ahead = forward - axis.forward_lag
-            axis.forward = forward
-            axis.forward_rate = ahead / self.lead_filter
-            axis.forward_lag += axis.step / (axis.step + self.lead_filter) * ahead
-            demand = forward + terms + _from_others(state.axes, axis)
-            u[axis.channel], torque = _through_rotor(axis, demand)
-            axis.integral += gains.ki * axis.step * (goal - angle)
-            axis.integral += axis.tracking * (torque - demand)
-        return Command(u)
-
-
-def _from_others(axes: list[AxisState], axis: AxisState) -> float:
-    """Torque that undoes what the torques fed forward to the axes before this one do to it, N m."""
-    rates = burdens = 0.0
-    for other, strength, burden in zip(axes, axis.coupling, axis.burdens, strict=False):
-        rates += strength * other.forward_rate
-        burdens += burden.at(other.forward)
-    return rates + burdens
-
-
-def _through_rotor(axis: AxisState, demand: float) -> tuple[float, float]:
-    """The input for a torque asked for, V, and the torque to which limits cut that, N m."""
-    volts, least, most = axis.curve.at(demand), axis.curve.y[0], axis.curve.y[-1]
-    axis.lagged = volts + axis.slow * (axis.lagged - volts)
-    uncut = axis.lagged + axis.lead * (volts - axis.lagged)
-    u = min(max(uncut, least), most)
-    if u != uncut:
-        return u, axis.torque_of.at(axis.lagged + (u - axis.lagged) / axis.lead)
-    return u, min(max(demand, axis.least), axis.most)
-
-
-def _derivatives(axis: AxisState, reference: float) -> tuple[float, float]:
-    """Rate and acceleration of the reference, rad/s and rad/s².
-
-    Where it moves as no torque of the rotor could move the axis, the rate is that before, and 0 if
-    that goes on.
-    """
-    last, axis.last_reference = axis.last_reference, reference
-    if math.isnan(last):
-        return 0.0, 0.0
-    rate = (reference - last) / axis.step
-    acceleration = (rate - axis.reference_difference) / axis.step
-    axis.reference_difference = rate
-    if abs(axis.inverse[1] * acceleration) <= axis.most - axis.least:
-        axis.jumping, axis.followed_rate = 0, rate
-        return rate, acceleration
-    axis.jumping += 1
-    if axis.jumping > _JUMP:
-        axis.followed_rate = 0.0
-    return axis.followed_rate, 0.0
-
-
-def _guided(
-    axis: AxisState, reference: float, slopes: tuple[float, float] = (0.0, 0.0)
-) -> tuple[float, float]:
-    """The reference that the axis can follow, and the torque fed forward for it.
-
-    Advances the reference's filter, with its jerk cut so that the torque stays within the
-    rotor's. ``slopes``: rate and acceleration with which the reference moves, rad/s and rad/s².
-    """
-    f, T, (y, rate, acceleration) = axis.reference_rate, axis.step, axis.guide
-    if not f:
-        return reference, axis.holding.at(reference) if axis.holding is not None else 0.0
-    jerk = f * (f * (f * (reference - y) + 3 * (slopes[0] - rate)) + 3 * (slopes[1] - acceleration))
-    forward = 0.0
-    if axis.holding is not None:
-        c1, c2, c3 = axis.inverse
-        held = axis.holding.at(y)
-        calm = held + c1 * rate + c2 * acceleration
-        if c3 > 0:
-            least = min(_FOR_REFERENCE * axis.least, held + _AT_LEAST * (axis.least - held))
-            most = max(_FOR_REFERENCE * axis.most, held + _AT_LEAST * (axis.most - held))
-            jerk = min(max(jerk, (least - calm) / c3), (most - calm) / c3)
-        a1, a2, a3 = axis.ahead
-        forward = held + a1 * rate + a2 * acceleration + a3 * jerk
-    for i, memory in enumerate(axis.memories):
-        value = axis.remembered[i]
-        forward += memory.torque.at(value)
-        change = memory.rise if rate > 0 else memory.fall
-        axis.remembered[i] = min(max(value + T * rate * change.at(value), -1.0), 1.0)
-    acceleration += T * jerk
-    rate += T * acceleration
-    axis.guide = (y + T * rate, rate, acceleration)
-    return y, forward
-
-
-def _start(axis: AxisState, angle: float, command: float, weight: float, beside: float) -> None:
-    """Bumpless: if the reference were where the rig is, the command in force would go on.
-
-    ``beside``: torque fed forward for other axes, N m.
-    """
-    at_rest = (angle, 0.0, 0.0)
-    axis.guide = at_rest
-    forward = _guided(axis, angle)[1]
-    axis.guide = at_rest
-    axis.last_error = 0.0 if axis.reference_rate else angle
-    axis.forward = axis.forward_lag = forward
-    axis.lagged = command
-    axis.integral = axis.torque_of.at(command) - forward - beside
-    axis.integral -= axis.gains.kp * (weight - 1) * angle
+        x, reference, u, remembered, numbers = state.sample.inputs
+        x[:] = sample.estimate.x
+        reference[:] = sample.reference[0]
+        u[:] = sample.previous_command
+        if not state.has_begun and np.isfinite(x).all() and np.isfinite(reference).all():
+            remembered[:] = np.array(state.begin(x, u, numbers))[:, 0]
+            state.has_begun = True
+        state.sample()
+        command, following, health = state.sample.outputs
+        if not math.isfinite(health[0]):
+            return hold_command(u.copy(), NOT_FINITE)
+        remembered[:] = following
+        return Command(command.copy())

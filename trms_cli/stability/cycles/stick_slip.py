@@ -69,7 +69,8 @@ import numpy as np
 import numpy.typing as npt
 
 from trms_cli.controllers.controller import ControlSetup
-from trms_cli.controllers.pid import AxisState, Pid
+from trms_cli.controllers.pid import Pid
+from trms_cli.controllers.pid_law import AxisLaw
 from trms_cli.core.arrays import ComplexArray, FloatArray
 from trms_cli.core.compilation import BufferedFunction
 from trms_cli.effects.coulomb_friction import CoulombFriction
@@ -117,7 +118,7 @@ class FrictionLoop:
         return bool(np.linalg.eigvals(self.A).real.max() < 0)
 
 
-def law_matrices(axis: AxisState) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+def law_matrices(axis: AxisLaw) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """The law of an axis, ``c⁺ = F c + g θ``, ``m = h c + d θ``, at its samples."""
     kp, ki = axis.gains.kp, axis.gains.ki
     share = axis.derivative_gain
