@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import functools
 import inspect
 import math
 import re
@@ -169,7 +170,16 @@ def construct(kind: Callable[..., _T], keys: Mapping[str, Any], where: str = "")
         raise
 
 
-def _checked_arguments(target: Any, arguments: Mapping[str, Any], where: str) -> dict[str, Any]:
+class _Asked(NamedTuple):
+    """What a class or function takes."""
+
+    parameters: Mapping[str, inspect.Parameter]
+    takes_more: bool  #: Whether any other key is welcome
+    hints: Mapping[str, Any]  #: Types by name
+
+
+@functools.lru_cache(maxsize=512)
+def _asked_by(target: Any) -> _Asked:
     signature = inspect.signature(target).parameters
     parameters = {
         name: parameter
@@ -180,7 +190,11 @@ def _checked_arguments(target: Any, arguments: Mapping[str, Any], where: str) ->
     annotated = target
     if inspect.isclass(target) and not dataclasses.is_dataclass(target):
         annotated = target.__init__
-    hints = typing.get_type_hints(annotated, include_extras=True)
+    return _Asked(parameters, takes_more, typing.get_type_hints(annotated, include_extras=True))
+
+
+def _checked_arguments(target: Any, arguments: Mapping[str, Any], where: str) -> dict[str, Any]:
+    parameters, takes_more, hints = _asked_by(target)
     for key in arguments:
         if key not in parameters and not takes_more:
             raise ConfigurationError(

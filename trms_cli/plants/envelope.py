@@ -115,6 +115,7 @@ class EnvelopeWatch:
         stops = [setup.stops.get(name, math.inf) for name in setup.outputs]
         is_share = margin == _BEYOND_STOPS and not setup.bench_sizes
         self._possible = [stop + margin * (stop if is_share else 1.0) for stop in stops]
+        self._bounded = [(i, at) for i, at in enumerate(self._possible) if at < math.inf]
         self._impossible_after = round(envelope.impossible_after / setup.sample_time)
         self._impossible = [0] * len(setup.outputs)
         self._readings = _by_position(envelope.readings, setup.outputs)
@@ -165,9 +166,14 @@ class EnvelopeWatch:
                 remedy=f"a float array of shape ({len(self._outputs)},) at every sample: "
                 f"{', '.join(self._outputs)}",
             )
-        if all(map(_is_possible, values, self._possible)):
+        is_usual = math.isfinite(sum(values))
+        for i, limit in self._bounded:
+            is_usual = is_usual and -limit <= values[i] <= limit
+        if is_usual:
             if any(self._impossible):
                 self._end_impossible(values, tell)
+        elif all(map(_is_possible, values, self._possible)):  # samples were lost
+            self._end_impossible(values, tell)
         else:
             y = self._without_impossible(y, values, tell)
             values = y.tolist()

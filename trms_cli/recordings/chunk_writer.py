@@ -143,16 +143,16 @@ class ChunkWriter:
             part["log_time"] = group.log_times
             part["publish_time"] = group.publish_times
             part["sequence"] = np.arange(count, count + len(part))
-            part["length"] = [len(message) for message in group.data]
+            part["length"] = np.fromiter(map(len, group.data), np.uint64, len(part))
             self._counts[group.channel] = count + len(part)
             start += len(part)
         heads["length"] += _MESSAGE.itemsize - _PREFIX
         order = np.argsort(heads["log_time"], kind="stable")
         heads = heads[order]
-        body = zip(
-            heads.view(f"V{_MESSAGE.itemsize}").tolist(), map(data.__getitem__, order), strict=True
-        )
-        self._put_chunk(b"".join(chain.from_iterable(body)), heads)
+        packed = heads.view(f"V{_MESSAGE.itemsize}").tolist()
+        in_order = map(data.__getitem__, order.tolist())
+        body = b"".join(chain.from_iterable(zip(packed, in_order, strict=True)))
+        self._put_chunk(body, heads, sorted(group.channel for group in groups))
 
     def finish(self) -> None:
         """Add the summary and the end of the file."""
@@ -204,7 +204,7 @@ class ChunkWriter:
         self._stream.write(data)
         return offset, len(data)
 
-    def _put_chunk(self, data: bytes, heads: np.ndarray) -> None:
+    def _put_chunk(self, data: bytes, heads: np.ndarray, channels: Sequence[int]) -> None:
         """Write a chunk's messages, and where in it those of each channel stand."""
         times = heads["log_time"]
         start, end = int(times[0]), int(times[-1])
@@ -224,8 +224,9 @@ class ChunkWriter:
         places = np.zeros((len(heads), 2), "<u8")
         places[:, 0] = times
         np.cumsum(heads["length"][:-1] + np.uint64(_PREFIX), out=places[1:, 1])
-        for channel_id in np.unique(heads["channel"]).tolist():
-            entries = places[heads["channel"] == channel_id].tobytes()
+        owner = heads["channel"].copy()  # side by side
+        for channel_id in channels:
+            entries = places[owner == channel_id].tobytes()
             index_offsets[channel_id] = self._stream.tell()
             head = _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries))
             self._stream.write(head + entries)

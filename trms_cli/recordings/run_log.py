@@ -216,7 +216,7 @@ class RunLog:
             self._buffered = 0
             messages = [channel.take() for channel in self._channels.values() if channel.rows]
             self._writer.add_chunk(messages)
-            last = max(time_ns for group in messages for time_ns in group.log_times)
+            last = max(max(group.log_times) for group in messages)
             self._last_time_ns = max(self._last_time_ns, last)
             self._flush_stream()
             self.safe_until_s = self._last_time_ns * 1e-9

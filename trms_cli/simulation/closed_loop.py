@@ -56,6 +56,9 @@ from trms_cli.simulation.supervisor import (
 Progress = Callable[[float, float], None]
 #: A run is kept in memory until it is scored; beyond this the keys are a slip.
 _MOST_SAMPLES = 100_000_000
+#: s of the clock. Each simulated second is made safe; where they go by faster than this, several
+#: at once: a log of many small chunks takes longer to write and to read.
+_FLUSH_AFTER = 0.02
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,7 @@ class Loop:
     _now_ns: int = 0
     completed_samples: int = 0  #: Samples that are behind
     _gate: CommandGate = field(init=False)
+    _ratio: int = field(init=False)  #: Samples between two control steps
     _tell_control: Writer = field(init=False)
     _tell_prediction: Writer = field(init=False)
     _tell_landing: Writer = field(init=False)
@@ -173,6 +177,7 @@ class Loop:
         self._tell_control = self.history.writer("/controller")
         self._tell_prediction = self.history.writer("/prediction")
         self._tell_landing = self.history.writer("/landing")
+        self._ratio = e.samples_per_control
         self._gate = CommandGate(names(self.plant.inputs), self.plant.input_limits, self._tell)
         self._u = np.array(self.plant.first_command, dtype=float)
         if e.has_delay:
@@ -354,6 +359,7 @@ class Loop:
         delayed = self._ahead is not None
         pending = self._u  # with a delay: the command that is due next
         now, written = perf_counter, 0.0
+        flushed_at = now()
         k = self.completed_samples
 
         while k < e.samples:
@@ -419,7 +425,9 @@ class Loop:
                 due, reading = (k - 1) * e.sample_time, read_at - begun_at
                 log_timing(now_ns, (due, pace.lateness, reading, *parts, written))
             if k % per_second == 0:
-                history.flush()
+                if pace is not None or now() - flushed_at > _FLUSH_AFTER:
+                    history.flush()
+                    flushed_at = now()
                 if progress is not None:
                     error = estimate.x[controlled] - self.references[k - 1]
                     progress(k * e.sample_time, float(np.abs(error).max()))
@@ -464,8 +472,7 @@ class Loop:
 
     def _decide(self, estimate: Estimate, k: int, acts_at: int | None = None) -> _Answer:
         """The command from this sample on, or from the one at which it ``acts_at``."""
-        e, watch = self.experiment, self._supervisor
-        ratio = e.samples_per_control
+        e, watch, ratio = self.experiment, self._supervisor, self._ratio
         if watch.mode is Mode.LANDING:
             self._was_landing = True
             u = self._gate.applied(Command(watch.landed(self._u)), self._u)

@@ -47,10 +47,11 @@ class CommandGate:
         if request.shape != previous.shape:
             raise _no_command(f"command has shape {request.shape}, the rig takes {previous.shape}")
         values = request.tolist()
-        if not (self._saturated or self._not_finite) and all(
-            map(_between, self._lower, values, self._upper)
-        ):
-            return request.copy()  # as almost always: nothing to cut, nothing to tell
+        is_usual = not (self._saturated or self._not_finite)
+        for low, value, high in zip(self._lower, values, self._upper, strict=True):
+            is_usual = is_usual and low < value < high  # false for what is not a number
+        if is_usual:
+            return request.copy()  # nothing to cut, nothing to tell
         applied = previous.copy()
         for i, value in enumerate(values):
             name, finite = self._inputs[i], math.isfinite(value)
@@ -68,11 +69,6 @@ class CommandGate:
                 kind = "fault_end" if finite else "fault"
                 self._tell(kind, "controller", f"{name} {words}", value)
         return applied
-
-
-def _between(low: float, value: float, high: float) -> bool:
-    """False for what is not a number."""
-    return low < value < high
 
 
 def _no_command(what: str) -> SimulationError:

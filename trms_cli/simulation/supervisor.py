@@ -202,15 +202,16 @@ class WatchingRun(SupervisorRun):
     def judge(self, estimate: Estimate, tell: Tell) -> None:
         reasons: list[tuple[Reason, str]] = []
         total, mean, frozen = self._sum, self._mean, self._frozen
+        same, missed = self._same, self._missing_counts
         innovations, spreads = estimate.innovation.tolist(), estimate.innovation_sd.tolist()
         for i, (innovation, spread) in enumerate(zip(innovations, spreads, strict=True)):
             share = (innovation / spread) ** 2 if spread > 0.0 else 0.0
             if share == share:
                 total[i] += share
                 mean[i] += self._forget * (share - mean[i])
-                if self._same[i] >= self._frozen_after and not frozen[i]:
+                if same[i] >= self._frozen_after and not frozen[i]:
                     frozen[i] = self._should_move(i)
-            if self._missing_counts[i] >= self._missing_after:
+            if missed[i] >= self._missing_after:
                 reasons.append((Reason.MISSING, self._outputs[i]))
             elif frozen[i]:
                 reasons.append((Reason.FROZEN, self._outputs[i]))

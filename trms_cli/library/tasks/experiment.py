@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -212,20 +213,31 @@ def attachments(
     composition: Composition, model: Model, true_parameters: ParameterSet | None
 ) -> dict[str, tuple[str, bytes]]:
     """The resolved configuration, and the parameters of model and rig, as YAML."""
-    parameters = {"model": _as_data(model.parameters)}
-    if true_parameters is not None:
-        parameters["plant"] = _as_data(true_parameters)
-    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-    text = yaml.dump(parameters, Dumper=dumper, sort_keys=False, allow_unicode=True)
+    text = _parameters_text(_as_data(model.parameters), _as_data(true_parameters))
     return {
         "config.yaml": ("application/yaml", composition.yaml.encode()),
         "parameters.yaml": ("application/yaml", text.encode()),
     }
 
 
+#: Name, value and unit of each parameter.
+_ParameterData = tuple[tuple[str, float, str], ...]
+
+
+@lru_cache(maxsize=4)  # those of a sweep's runs are often the same
+def _parameters_text(model: _ParameterData, plant: _ParameterData | None) -> str:
+    parameters = {
+        whose: {name: {"value": value, "unit": unit} for name, value, unit in data}
+        for whose, data in (("model", model), ("plant", plant))
+        if data is not None
+    }
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    return str(yaml.dump(parameters, Dumper=dumper, sort_keys=False, allow_unicode=True))
+
+
 def _field(signal: Signal) -> Field:
     return Field(signal.name, signal.unit, signal.description)
 
 
-def _as_data(parameters: ParameterSet) -> dict[str, dict[str, Any]]:
-    return {p.name: {"value": p.value, "unit": p.unit} for p in parameters}
+def _as_data(parameters: ParameterSet | None) -> _ParameterData | None:
+    return None if parameters is None else tuple((p.name, p.value, p.unit) for p in parameters)
