@@ -4,10 +4,13 @@ beforehand: the curve of a rotor, the inverse of an axis, the coupling.
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from trms_cli.controllers.pid import Pid, PidState
 from trms_cli.controllers.pid_feed_forward import (
@@ -23,7 +26,7 @@ from trms_cli.controllers.pid_feed_forward import (
     rotor_tables,
     torque_curve,
 )
-from trms_cli.controllers.pid_law import STATE, AxisExpressions, AxisLaw
+from trms_cli.controllers.pid_law import STATE, AxisExpressions, AxisLaw, LawLayout, law
 from trms_cli.controllers.pid_tuning import (
     AxisPlant,
     Filters,
@@ -32,6 +35,7 @@ from trms_cli.controllers.pid_tuning import (
     load_costs,
     margins,
 )
+from trms_cli.core.compilation import BufferedFunction
 from trms_cli.core.plugins import build
 from trms_cli.effects.cable_hysteresis import CableHysteresis
 from trms_cli.effects.coulomb_friction import CoulombFriction
@@ -333,6 +337,43 @@ def test_the_lead_is_of_the_input_and_limits_tell_the_torque_that_is_left() -> N
     lagged = rotor.remembered("lagged")
     uncut = lagged + axis.lead * (volts - lagged)
     assert uncut < -2.5 and u == -2.5 and -0.03 < torque < 0.03
+
+
+@given(
+    st.lists(st.floats(-3, 3).map(lambda x: round(x, 6)), min_size=2, max_size=40, unique=True),
+    st.lists(st.floats(-4, 4), min_size=5, max_size=20),
+    st.randoms(use_true_random=False),
+)
+def test_tables_of_the_compiled_law_are_the_tables(points, values, random) -> None:
+    """Between the points, on them and beyond them."""
+    curve = PiecewiseLinear(sorted(points), sorted(random.uniform(-2, 2) for _ in points))
+    axis = replace(started(Pid()).axes[1], curve=curve)
+    read = Stepped(axis, lambda law, value: [law.curve(value)])
+    steepest = max(abs(curve.slope(x)) for x in curve.x)
+    for value in [*values, *curve.x]:
+        assert read(value)[0] == pytest.approx(curve.at(value), abs=1e-12 * (1 + steepest))
+
+
+def test_the_law_without_a_compiler_is_the_same() -> None:
+    """Interpreted to the last bit but one as compiled; rigs of other numbers share the code."""
+    cable = CableHysteresis(axis="yaw", torque=0.005, width=0.15)
+    dry = CoulombFriction(axis="pitch", torque=0.002)
+    model = extend_model(BOTH, {"cable": cable, "dry": dry})
+    state = Pid().init(setup_of(model, SAMPLE_TIME))
+    layout = LawLayout((model.n_x, 2, 2), tuple(axis.layout for axis in state.axes), True)
+    plain = BufferedFunction(law(layout)["sample"], compile=False)
+    assert plain.function is not state.sample.function
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        for own, other in zip(state.sample.inputs[:4], plain.inputs[:4], strict=True):
+            own[:] = other[:] = rng.normal(0.0, 0.3, own.shape)
+        plain.inputs[4][:] = state.sample.inputs[4]
+        state.sample()
+        plain()
+        for own, other in zip(state.sample.outputs, plain.outputs, strict=True):
+            np.testing.assert_allclose(own, other, rtol=1e-12, atol=1e-12)
+    other = Pid().init(setup_of(extend_model(BOTH, {"cable": cable, "dry": dry}), SAMPLE_TIME))
+    assert other.sample.function is state.sample.function
 
 
 def test_a_cable_that_remembers_its_path_is_held_and_fed_forward() -> None:

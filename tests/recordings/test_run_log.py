@@ -317,3 +317,50 @@ def test_foxglove_accepts_the_schemas_and_units_stand_in_descriptions(topics):
 def test_a_field_named_twice_is_refused():
     with pytest.raises(ValueError, match="twice: x"):
         Topic("/t", (Field("x"), Field("x")))
+
+
+@given(st.lists(st.integers(0, 7), min_size=1, max_size=6), st.integers(0, 5))
+def test_a_thinned_topic_has_each_so_many_th_row_however_the_rows_come(
+    tmp_path_factory, sizes: list[int], every: int
+) -> None:
+    """``sizes``: of the blocks of rows, a chunk each."""
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    other = Topic("/other", (Field("x", "1"),))
+    with RunLog(path, [NUMBERS, other], {}, every={"/numbers": every}) as log:
+        begin = 0
+        for size in sizes:
+            times = list(range(begin, begin + size))
+            log.write_rows(
+                times,
+                [10**18 + t for t in times],
+                {"/numbers": [(float(t), t) for t in times], "/other": np.array([times]).T / 2},
+            )
+            log.flush()
+            begin += size
+    written = read_log(path)
+    kept = [t for t in range(begin) if every and t % every == 0]
+    for topic, name, values in (("/numbers", "b", kept), ("/other", "x", range(begin))):
+        if values:
+            table = written.table(topic)
+            assert list(table.time_ns) == list(values)
+            expected = np.array(values) / (2 if topic == "/other" else 1)
+            np.testing.assert_array_equal(table.columns[name], expected)
+    with path.open("rb") as file:
+        stamps = [(m.log_time, m.publish_time) for _, _, m in make_reader(file).iter_messages()]
+    assert all(published == 10**18 + time for time, published in stamps)
+
+
+def test_messages_stand_in_the_order_of_time_and_the_index_finds_each(path: Path) -> None:
+    """Rows are packed topic by topic; a reader of the file from front to end sees them by time."""
+    other = Topic("/other", (Field("x", "1"),))
+    with RunLog(path, [NUMBERS, other], {}) as log:
+        log.write_rows([10, 30, 50], [0, 0, 0], {"/numbers": [(1.0, 1), (2.0, 2), (3.0, 3)]})
+        log.event(30, "note", "test", "between")
+        log.write_rows([20, 40], [0, 0], {"/other": np.array([[0.5], [1.5]])})
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        in_file = [m.log_time for _, _, m in reader.iter_messages(log_time_order=False)]
+        assert in_file == [10, 20, 30, 30, 40, 50]
+        numbers = reader.iter_messages(topics=["/numbers"], start_time=25, end_time=51)
+        found = [(m.log_time, m.sequence, orjson.loads(m.data)) for _, _, m in numbers]
+        assert found == [(30, 1, {"a": 2.0, "b": 2}), (50, 2, {"a": 3.0, "b": 3})]

@@ -124,7 +124,6 @@ class FilterState:
     #: (n, n) array or None; covariance after every sample, of a filter with a steady gain
     settled: FloatArray | None = None
     has_started: bool = False  #: Whether there was a sample yet
-    was_complete: bool = False  #: Whether the last measurement had all channels
     recoveries: int = 0  #: How often the covariance had to be inflated to the prior
 
 
@@ -187,8 +186,7 @@ class GatedFilter(FilterOptions, ABC):
         u[:] = command
         complete = math.isfinite(sum(measurement.tolist()))
         if complete:
-            if not state.was_complete:
-                state.present[:] = mask[:] = True
+            state.present[:] = mask[:] = True
             y[:] = measurement
         else:
             np.isfinite(measurement, out=state.present)
@@ -198,13 +196,11 @@ class GatedFilter(FilterOptions, ABC):
         # At time zero there is nothing to predict over: the prior meets the first measurement.
         advance[0] = state.has_started
         state.has_started = True
-        state.was_complete = complete
         function()
         m_next, covariance_next, memory_next, health = function.outputs[:4]
         healthy = math.isfinite(health[0])
         if not healthy:
             recover(state)
-            state.was_complete = False  # it may have gone on without the measurement
         m[:] = m_next
         covariance[...] = covariance_next if state.settled is None else state.settled
         memory[:] = memory_next

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
-from itertools import starmap
+from itertools import chain, starmap
 from pathlib import Path
 from types import FrameType
 from typing import Any, Literal, Self
@@ -165,10 +165,9 @@ class RunLog:
         published = wall_ns if self._wall_clock else times_ns
         for topic, values in rows.items():
             channel, kept = self._channel(topic), self._kept(topic, len(times_ns))
-            channel.log_times += times_ns[kept]
-            channel.publish_times += published[kept]
             new = values[kept]
-            channel.rows += new.tolist() if isinstance(new, np.ndarray) else new
+            plain = new.tolist() if isinstance(new, np.ndarray) else new
+            channel.pending.append((times_ns[kept], published[kept], plain))
             self._note(len(times_ns))
 
     def _kept(self, topic: str, count: int) -> slice:
@@ -185,9 +184,8 @@ class RunLog:
             values = [v.tolist() if isinstance(v, np.ndarray) else v for v in values]
         elif type(values) is np.ndarray:
             values = values.tolist()
-        channel.log_times.append(time_ns)
-        channel.publish_times.append(time.time_ns() if self._wall_clock else time_ns)
-        channel.rows.append(tuple(values))
+        wall = time.time_ns() if self._wall_clock else time_ns
+        channel.pending.append(((time_ns,), (wall,), (tuple(values),)))
         self._note(1)
 
     def _note(self, count: int) -> None:
@@ -214,9 +212,9 @@ class RunLog:
             return
         with _DeferredInterrupt():  # Ctrl-C amid a record would spoil the chunk
             self._buffered = 0
-            messages = [channel.take() for channel in self._channels.values() if channel.rows]
+            messages = [channel.take() for channel in self._channels.values()]
             self._writer.add_chunk(messages)
-            last = max(max(group.log_times) for group in messages)
+            last = max(max(group.log_times, default=0) for group in messages)
             self._last_time_ns = max(self._last_time_ns, last)
             self._flush_stream()
             self.safe_until_s = self._last_time_ns * 1e-9
@@ -304,15 +302,19 @@ class _Channel:
     id: int
     has_arrays: bool
     encode: Callable[[Sequence[Sequence[Any]]], list[bytes]]
-    log_times: list[int] = field(default_factory=list)  #: ns
-    publish_times: list[int] = field(default_factory=list)  #: ns
-    rows: list[Sequence[Any]] = field(default_factory=list)
+    #: Run times and publish times, ns, and the rows of these; in one piece, so that Ctrl-C comes
+    #: before all or after all
+    pending: list[tuple[Sequence[int], Sequence[int], Sequence[Sequence[Any]]]] = field(
+        default_factory=list
+    )
 
     def take(self) -> Messages:
         """The rows so far as messages; none of them is left, whether or not they can be encoded."""
-        times, published, rows = self.log_times, self.publish_times, self.rows
-        self.log_times, self.publish_times, self.rows = [], [], []
-        return Messages(self.id, times, published, self.encode(rows))
+        pending, self.pending = self.pending, []
+        times = chain.from_iterable(piece[0] for piece in pending)
+        published = chain.from_iterable(piece[1] for piece in pending)
+        rows = list(chain.from_iterable(piece[2] for piece in pending))
+        return Messages(self.id, list(times), list(published), self.encode(rows))
 
 
 def _encoded(rows: Sequence[Sequence[bytes]]) -> list[bytes]:

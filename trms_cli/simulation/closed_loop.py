@@ -56,9 +56,9 @@ from trms_cli.simulation.supervisor import (
 Progress = Callable[[float, float], None]
 #: A run is kept in memory until it is scored; beyond this the keys are a slip.
 _MOST_SAMPLES = 100_000_000
-#: s of the clock. Each simulated second is made safe; where they go by faster than this, several
-#: at once: a log of many small chunks takes longer to write and to read.
-_FLUSH_AFTER = 0.02
+#: Each simulated second is made safe; where they go by in less than so many s of the clock, so many
+#: of them at once: a log of many small chunks takes longer to write and to read.
+_FLUSH_AFTER, _SECONDS_AT_ONCE = 0.02, 5
 
 
 @dataclass(frozen=True)
@@ -425,7 +425,8 @@ class Loop:
                 due, reading = (k - 1) * e.sample_time, read_at - begun_at
                 log_timing(now_ns, (due, pace.lateness, reading, *parts, written))
             if k % per_second == 0:
-                if pace is not None or now() - flushed_at > _FLUSH_AFTER:
+                is_slow = pace is not None or now() - flushed_at > _FLUSH_AFTER
+                if is_slow or k % (_SECONDS_AT_ONCE * per_second) == 0:
                     history.flush()
                     flushed_at = now()
                 if progress is not None:

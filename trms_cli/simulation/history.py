@@ -163,24 +163,21 @@ class _PendingSignals:
             self._columns[topic] = start + np.asarray(order[topic]) if topic in order else columns
             start += width
         self._table = np.empty((_ROOM, start))
-        self._times_ns: list[int] = []
-        self._wall_ns: list[int] = []
+        self._noted: list[tuple[int, int]] = []  # time and wall clock, ns
 
     def note(self, time_ns: int, parts: Sequence[FloatArray]) -> None:
-        count = len(self._times_ns)
+        count = len(self._noted)
         if count == len(self._table):
             self._table = np.concatenate([self._table, np.empty_like(self._table)])
         np.concatenate(self._kept(parts), out=self._table[count])
-        self._wall_ns.append(time.time_ns())
-        self._times_ns.append(time_ns)  # last: Ctrl-C leaves no time without values
+        self._noted.append((time_ns, time.time_ns()))  # Ctrl-C leaves no time without values
 
     def take(self) -> tuple[list[int], list[int], Mapping[str, Rows]]:
-        times_ns, wall_ns = self._times_ns, self._wall_ns
-        noted = self._table[: len(times_ns)]
-        self._times_ns, self._wall_ns = [], []
+        noted, self._noted = self._noted, []
+        table = self._table[: len(noted)]
         # copies: the table is written again
-        rows = {topic: noted[:, columns].copy() for topic, columns in self._columns.items()}
-        return times_ns, wall_ns, rows
+        rows = {topic: table[:, columns].copy() for topic, columns in self._columns.items()}
+        return [time_ns for time_ns, _ in noted], [wall for _, wall in noted], rows
 
 
 class _Numbers:
