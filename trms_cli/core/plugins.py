@@ -170,7 +170,7 @@ def construct(kind: Callable[..., _T], keys: Mapping[str, Any], where: str = "")
         raise
 
 
-class _Asked(NamedTuple):
+class _Signature(NamedTuple):
     """What a class or function takes."""
 
     parameters: Mapping[str, inspect.Parameter]
@@ -179,22 +179,22 @@ class _Asked(NamedTuple):
 
 
 @functools.lru_cache(maxsize=512)
-def _asked_by(target: Any) -> _Asked:
-    signature = inspect.signature(target).parameters
+def _signature_of(target: Any) -> _Signature:
+    every = inspect.signature(target).parameters
     parameters = {
         name: parameter
-        for name, parameter in signature.items()
+        for name, parameter in every.items()
         if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
     }
-    takes_more = any(parameter.kind == parameter.VAR_KEYWORD for parameter in signature.values())
+    takes_more = any(parameter.kind == parameter.VAR_KEYWORD for parameter in every.values())
     annotated = target
     if inspect.isclass(target) and not dataclasses.is_dataclass(target):
         annotated = target.__init__
-    return _Asked(parameters, takes_more, typing.get_type_hints(annotated, include_extras=True))
+    return _Signature(parameters, takes_more, typing.get_type_hints(annotated, include_extras=True))
 
 
 def _checked_arguments(target: Any, arguments: Mapping[str, Any], where: str) -> dict[str, Any]:
-    parameters, takes_more, hints = _asked_by(target)
+    parameters, takes_more, hints = _signature_of(target)
     for key in arguments:
         if key not in parameters and not takes_more:
             raise ConfigurationError(

@@ -347,13 +347,13 @@ class Loop:
         per_second = max(1, round(1.0 / e.sample_time))
         controlled = [e.model.state_index(name) for name in e.model.controlled]
         state_names = names(plant.states)
-        signals = {"/reference": 1, "/command": 1, "/measurement": 1, "/plant/state": 1}
+        order = estimate_order(history.fields.get("/estimate", ()), len(plant.outputs))
         log_signals = history.signal_writer(
-            signals | {"/estimate": ESTIMATE_PARTS},
-            {"/estimate": estimate_order(history.fields.get("/estimate", ()), len(plant.outputs))},
+            {"/reference": 1, "/command": 1, "/measurement": 1, "/plant/state": 1}
+            | {"/estimate": ESTIMATE_PARTS},
+            {"/estimate": order},
         )
         log_known, log_timing = history.writer("/disturbance"), history.writer("/timing")
-        references = list(self.references)
         measured, known_torques = self._known_torques()
         faults = getattr(plant, "faults", ())
         delayed = self._ahead is not None
@@ -408,10 +408,8 @@ class Loop:
                     sent_at = now()
             finally:
                 self._log_answer(answer)
-                log_signals(
-                    now_ns,
-                    (references[k], self._u, y, truth_state, *estimate_parts(estimate)),
-                )
+                signals = (self.references[k], self._u, y, truth_state)
+                log_signals(now_ns, (*signals, *estimate_parts(estimate)))
                 if known_torques is not None:
                     log_known(now_ns, measured[k].tolist())
                 if any(estimate.rejected.tolist()):
