@@ -108,6 +108,26 @@ def test_every_axis_has_its_unit_and_panels_of_the_estimate_say_that_they_show_e
         assert re.search(r"\n(error|innovation) \[", axes.get_ylabel()), axes.get_ylabel()
 
 
+def test_errors_of_estimates_that_are_logged_now_and_then_are_drawn_at_their_times(
+    folder, tmp_path, said
+):
+    """A sweep logs each tenth estimate, or none."""
+    run = ("run", "--from", str(folder / "lqr" / "run.mcap"), "picture=false")
+    assert main([*run, "sim.estimate_every=10", f"out={tmp_path / 'tenth'}"]) == 0
+    whole, tenth = (read_log(place / "run.mcap") for place in (folder / "lqr", tmp_path / "tenth"))
+    panels = [plot([log], "estimate").axes for log in (whole, tenth)]
+    assert [axes.get_ylabel() for axes in panels[0]] == [axes.get_ylabel() for axes in panels[1]]
+    for one, other in zip(*panels, strict=True):
+        (every,) = (line for line in one.lines if len(line.get_xdata()) == 300)
+        (some,) = (line for line in other.lines if len(line.get_xdata()) == 30)
+        assert list(some.get_xdata()) == list(every.get_xdata())[::10]
+        assert list(some.get_ydata()) == list(every.get_ydata())[::10]
+    assert main([*run, "sim.estimate_every=0", f"out={tmp_path / 'none'}"]) == 0
+    said()
+    assert main(["plot", str(tmp_path / "none"), "--what", "estimate"]) == 2
+    assert "its estimates were not logged (sim.estimate_every=0)" in said()
+
+
 @pytest.mark.parametrize("format_", ["png", "svg", "pdf"])
 def test_equal_logs_give_equal_bytes_and_nothing_is_overwritten(folder, tmp_path, capsys, format_):
     log, out = str(folder / "mpc"), tmp_path / f"a.{format_}"

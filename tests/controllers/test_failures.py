@@ -1,5 +1,6 @@
 """What the laws answer where a solve fails, a number is none, or the configuration is mistaken."""
 
+import math
 from typing import Any
 from unittest.mock import Mock
 
@@ -108,6 +109,15 @@ MISTAKES: list[Any] = [
     (Pid, {"operating_points": [{"alpha_w": 0.0}]}, "operating_points[0]", "did you mean alpha_"),
     (Pid, {"operating_points": [{"alpha_v": 1.4}]}, "operating_points[0]", "cannot rest"),
     (Pid, {"operating_points": []}, "operating_points", "at least one"),
+    (Pid, {"operating_points": [{"alpha_h": 0.0}]}, "operating_points[0]", "alpha_h: 0.5 in it"),
+    *((Pid, {k: math.inf}, k, "not infinite") for k in ("reference_lag", "lead_filter")),
+    (Pid, {"pitch": {"kp": math.inf, "ki": 1.0}}, "pitch.kp", "not infinite"),
+    (
+        Pid,
+        {"pitch": {"kp": 1.0, "ki": 1.0}, "loops": {"pitch": {"kp": 2.0, "ki": 1.0}}},
+        "loops.pitch",
+        "given twice",
+    ),
     (Pid, {"max_sensitivity": 1.01}, "pitch", "raise max_sensitivity"),
     (Pid, {"pitch": {"kp": 1.0, "kii": 2.0}}, "pitch.kii", "kii"),
     (Pid, {"pitch": {"kp": 0.1, "ki": 0.05}}, "pitch", "larger kd"),

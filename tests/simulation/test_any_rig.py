@@ -228,3 +228,20 @@ def test_a_control_period_that_is_long_for_the_model_is_remarked(rig):
     [words] = long_period(rig("cart_pole", "controller=newton_mpc"))
     assert "try controller.sample_time=0.04" in words
     assert not [*long_period(rig("servo_drive", "controller=newton_mpc"))]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("pitch", "{kp: 1000, ki: 500, kd: 100}", "has no axis 'pitch'"),
+        ("operating_points", "[{alpha_v: 0.2}]", "'alpha_v' is not controlled"),
+        ("operating_points", "[{posiion: 0.2}]", "did you mean position?"),
+        ("operating_points", "[{position: 9}]", "cannot rest at position=9 m"),
+    ],
+)
+def test_pid_refuses_names_that_the_rig_does_not_have(rig, key, value, words):
+    composed = rig("servo_drive", "controller=pid", f"controller.{key}={value}")
+    with pytest.raises(ConfigurationError) as caught:
+        looped(composed)
+    assert caught.value.where.startswith(f"controller.{key}")
+    assert words in f"{caught.value.problem} {caught.value.remedy}"

@@ -72,6 +72,9 @@ from trms_cli.core.plugins import require_known
 from trms_cli.core.ranges import NotNegative, Positive
 from trms_cli.models.model import Model
 
+#: Keys that are times, s.
+_TIMES = ("derivative_filter", "lead_filter", "reference_lag", "tracking_time", "sample_time")
+
 
 @dataclass
 class PidState:
@@ -136,6 +139,23 @@ class Pid(PresentReference):
                 where="operating_points",
                 remedy="give at least one, as [{alpha_v: 0.0, alpha_h: 0.5}]",
             )
+        given = {name: getattr(self, name) for name in _TIMES}
+        for axis, gains in (("pitch", self.pitch), ("yaw", self.yaw), *self.loops.items()):
+            if isinstance(gains, Gains):
+                prefix = f"loops.{axis}" if axis in self.loops else axis
+                given |= {f"{prefix}.{name}": getattr(gains, name) for name in ("kp", "ki", "kd")}
+        for name, value in given.items():
+            if value is not None and not math.isfinite(value):
+                raise ConfigurationError(
+                    f"{value!r} given", where=name, remedy="give a number that is not infinite"
+                )
+        for axis in ("pitch", "yaw"):
+            if axis in self.loops and isinstance(getattr(self, axis), Gains):
+                raise ConfigurationError(
+                    f"the gains of {axis} are given twice, as {axis} and in loops",
+                    where=f"loops.{axis}",
+                    remedy="leave one of them out",
+                )
 
     def init(self, setup: ControlSetup) -> PidState:
         model, T = setup.model, setup.sample_time
@@ -144,6 +164,7 @@ class Pid(PresentReference):
                 if name not in ROTOR_OF_AXIS:
                     known = model.axes or ROTOR_OF_AXIS
                     require_known(name, known, f"{name!r} is not an axis", f"controller.{key}")
+        self._check_names(model)
         designs = PidDesign(
             requested_gains={"pitch": self.pitch, "yaw": self.yaw, **self.loops},
             operating_points=self.operating_points,
@@ -160,6 +181,21 @@ class Pid(PresentReference):
         sample.inputs[4][:] = np.concatenate([axis.numbers() for axis in axes])
         margins = {name: design.margins for name, design in designs.items()}
         return PidState(axes, margins, sample, functions["begin"])
+
+    def _check_names(self, model: Model) -> None:
+        """Refuse gains and angles of what the model does not have."""
+        for axis in ("pitch", "yaw"):
+            if isinstance(getattr(self, axis), Gains) and model.axes and axis not in model.axes:
+                words = f"{model.name} has no axis {axis!r}"
+                require_known(axis, model.axes, words, f"controller.{axis}")
+        # Those that are not typed are the TRMS's, and ignored by any other rig.
+        if model.bench_sizes or self.operating_points == Pid.operating_points:
+            return
+        for i, point in enumerate(self.operating_points):
+            for name in point:
+                words = f"{name!r} is not controlled"
+                where = f"controller.operating_points[{i}]"
+                require_known(name, model.controlled, words, where)
 
     def _axis(self, model: Model, design: AxisDesign, T: float) -> AxisLaw:
         gains, filters, curve = design.gains, design.filters, design.curve

@@ -77,14 +77,18 @@ class Linearisation:
         )
         target = self._steady.solve(reference)
         if not target.exact:
+            units = [model.states[row].unit for row in rows]
             goal, reached = (
-                ", ".join(f"{n}={v:.3g}" for n, v in zip(model.controlled, values, strict=True))
+                ", ".join(
+                    f"{n}={v:.3g} {unit}"
+                    for n, v, unit in zip(model.controlled, values, units, strict=True)
+                )
                 for values in (reference, target.reference_reached)
             )
             raise ConfigurationError(
-                f"the rig cannot rest at {goal} rad",
+                f"the rig cannot rest at {goal}",
                 where=where,
-                remedy=f"the closest that it can: {reached} rad",
+                remedy=f"the closest that it can: {reached}",
             )
         full = discrete.initial(target.x, target.u)
         _, A, B = (
@@ -116,11 +120,13 @@ def require_drivable(linear: LinearModel, where: str, constant: Sequence[int] = 
     output_directions, strength, _ = np.linalg.svd(gain)
     if strength[-1] < _LEAST_SHARE * strength[0] or not np.all(np.isfinite(gain)):
         weakest = names_of_angles[int(np.argmax(np.abs(output_directions[:, -1])))]
+        # One point of a list cannot be typed by itself.
+        other = f"{weakest}: 0.5 in it" if where.endswith("]") else f"{where}.{weakest}=0.5"
         raise ConfigurationError(
             f"no input holds {weakest} at this operating point: its mode is uncontrollable "
             "(a rotor that stands still has a thrust without slope)",
             where=where,
-            remedy=f"choose one with the rotor turning, as {where}.{weakest}=0.5",
+            remedy=f"choose one with the rotor turning, as {other}",
         )
     values, left_vectors = np.linalg.eig(A.T)
     scale = 1.0 / np.maximum(np.abs(left_vectors).max(axis=0), 1e-300)

@@ -36,6 +36,7 @@ from trms_cli.reporting.run_panels import (
 from trms_cli.reporting.signals import FloatArray, RunReport, RunSignals, TimeSeries
 from trms_cli.scoring.figures import finite, part
 
+_NOT_LOGGED = "its estimates were not logged (sim.estimate_every=0)"
 _ANGLES, _SPEEDS = ("alpha_v", "alpha_h"), ("omega_v", "omega_h")
 
 
@@ -143,7 +144,7 @@ def estimate(runs: Runs) -> list[draw.Panel]:
     if not any(names.values()):
         if any(run.names("/estimate") for run in runs):
             raise Absent("the observer is handed the true state (full_state): it estimates nothing")
-        raise Absent("no log has an estimate: no observer ran")
+        raise Absent(f"no log has an estimate: no observer ran, or {_NOT_LOGGED}")
     comparable_names = _in_order(
         name
         for run in runs
@@ -184,9 +185,11 @@ def _off_panel(runs: Runs, name: str) -> draw.Panel:
 def _off(run: RunSignals, name: str) -> tuple[str, TimeSeries, FloatArray] | None:
     """What an estimate is off by, in words, as a curve and with its deviation; or innovations."""
     guess, true = run.signal("/estimate", name), run.signal("/plant/state", name)
-    if guess is not None and true is not None and len(true.values) == len(guess.values):
-        off = TimeSeries(guess.time, guess.values - true.values, guess.unit)
-        return "estimate − true", off, run.numbers("/estimate", f"sd_{name}")
+    if guess is not None and true is not None:
+        at = np.clip(np.searchsorted(true.time, guess.time), 0, len(true.time) - 1)
+        if np.array_equal(true.time[at], guess.time):  # a sweep logs each tenth estimate
+            off = TimeSeries(guess.time, guess.values - true.values[at], guess.unit)
+            return "estimate − true", off, run.numbers("/estimate", f"sd_{name}")
     innovation = run.signal("/estimate", f"innovation_{name}")
     if innovation is None:
         return None
@@ -198,7 +201,9 @@ def torques(runs: Runs) -> list[draw.Panel]:
     groups = (names for run in runs for place, names in run.torques().items() if place != "pushes")
     names = _in_order(name for some in groups for name in some)
     if not names:
-        raise Absent("no log has an estimated torque: its observer estimates none")
+        raise Absent(
+            f"no log has an estimated torque: its observer estimates none, or {_NOT_LOGGED}"
+        )
     panels = []
     for name in names:
         marks: list[draw.Mark] = [draw.Line(y=0.0, colour="sky", style="solid")]

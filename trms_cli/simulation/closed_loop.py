@@ -123,6 +123,10 @@ class Experiment:
         """
         # a plugin may do without the attribute: it then takes every sample
         period = getattr(self.controller, "sample_time", None) or self.sample_time
+        if not math.isfinite(period):
+            raise ConfigurationError(
+                f"{period!r} given", where="controller.sample_time", remedy="give a time in s"
+            )
         ratio = round(period / self.sample_time)
         if ratio < 1 or abs(ratio * self.sample_time - period) > 1e-9 * period:
             raise ConfigurationError(
