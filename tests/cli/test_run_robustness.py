@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from tests.program import INSTALLED, wait_for
 from trms_cli.recordings.log_reader import LoggedRun, read_log
@@ -238,3 +239,15 @@ def test_a_folder_that_cannot_be_written_to(own, tmp_path):
     assert result.stdout.split() == ["exit", "2", "exit", "2"]
     assert result.stderr.count("name a folder that you can write to: out=FOLDER") == 2
     assert "Traceback" not in result.stderr
+
+
+def test_a_fast_run_is_made_safe_every_five_simulated_seconds_at_the_latest(trms, tmp_path):
+    """It simulates a second in some milliseconds; a killed one loses no more than that."""
+    quick = ("controller=pid", "picture=false", "sim.duration=23")
+    assert trms("run", *quick, "out=there").returncode == 0
+    with (tmp_path / "there" / "run.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    spans = [(c.message_start_time, c.message_end_time) for c in summary.chunk_indexes]
+    seconds = [(end - begin) / 1e9 for begin, end in spans]
+    assert all(second <= 5.0 for second in seconds) and len(seconds) >= 5

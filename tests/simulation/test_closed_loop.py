@@ -7,7 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trms_cli.controllers.controller import Command, ControlSample, ControlSetup, Status
+from trms_cli.controllers.controller import (
+    Command,
+    ControlSample,
+    ControlSetup,
+    Prediction,
+    Status,
+)
 from trms_cli.core.errors import ConfigurationError, SimulationError
 from trms_cli.core.invocation import notes_to
 from trms_cli.models.newtonian import Newtonian
@@ -65,6 +71,27 @@ def experiment(controller: Any, **changes: Any) -> Experiment:
 
 def run(controller: Any, **changes: Any) -> Loop:
     return looped(experiment(controller, **changes))
+
+
+@dataclass(frozen=True)
+class Reusing(Scripted):
+    """Plans in the same arrays at each step, as a controller that saves memory does."""
+
+    plan: Prediction = field(
+        default_factory=lambda: Prediction(np.zeros(3), np.zeros((3, MODEL.n_x)), np.zeros((3, 2)))
+    )
+
+    def step(self, state: list[int], sample: ControlSample, *, want_prediction: bool) -> Command:
+        command = super().step(state, sample, want_prediction=want_prediction)
+        self.plan.time[:] = self.plan.states[:] = self.plan.inputs[:] = state[0]
+        return replace(command, prediction=self.plan if want_prediction else None)
+
+
+def test_a_prediction_is_logged_as_it_was_when_it_was_made() -> None:
+    loop = run(Reusing(lambda k: (0.0, 0.0)), prediction_every=10)
+    columns = loop.history.columns("/prediction")
+    for name, plans in columns.items():
+        assert [plan.tolist() for plan in plans] == [[k] * 3 for k in (1, 11, 21, 31, 41)], name
 
 
 def kinds(loop: Loop) -> list[tuple[str, str]]:

@@ -140,17 +140,17 @@ class Pid(PresentReference):
                 remedy="give at least one, as [{alpha_v: 0.0, alpha_h: 0.5}]",
             )
         given = {name: getattr(self, name) for name in _TIMES}
-        for axis, gains in (("pitch", self.pitch), ("yaw", self.yaw), *self.loops.items()):
+        loops = {"pitch": self.pitch, "yaw": self.yaw}
+        for key, gains in (loops | {f"loops.{axis}": g for axis, g in self.loops.items()}).items():
             if isinstance(gains, Gains):
-                prefix = f"loops.{axis}" if axis in self.loops else axis
-                given |= {f"{prefix}.{name}": getattr(gains, name) for name in ("kp", "ki", "kd")}
+                given |= {f"{key}.{name}": getattr(gains, name) for name in ("kp", "ki", "kd")}
         for name, value in given.items():
             if value is not None and not math.isfinite(value):
                 raise ConfigurationError(
                     f"{value!r} given", where=name, remedy="give a number that is not infinite"
                 )
-        for axis in ("pitch", "yaw"):
-            if axis in self.loops and isinstance(getattr(self, axis), Gains):
+        for axis, gains in loops.items():
+            if axis in self.loops and isinstance(gains, Gains):
                 raise ConfigurationError(
                     f"the gains of {axis} are given twice, as {axis} and in loops",
                     where=f"loops.{axis}",

@@ -33,6 +33,11 @@ _JUMP = 2
 #: Tables are filled up to a multiple of this many rows, so that rigs of other numbers share code.
 _ROWS = 16
 
+
+def _nothing() -> ca.MX:
+    return ca.MX(0.0)
+
+
 #: What the law remembers of an axis, beside the values of its memories along r̃:
 #: I (N m), D (N m), φ(m) behind τ_f (V), m_ff without what other axes ask for (N m), m_ff behind
 #: τ_f (N m) and so its rate (N m/s), α − r̃ or α (rad), r̃ and its derivatives (rad, rad/s,
@@ -180,7 +185,7 @@ def _filled(table: PiecewiseLinear) -> FloatArray:
 
 
 class _Tables:
-    """Tables in the design's vector p, read where they stand: a slice would copy them."""
+    """Tables in the design's vector p. Values and slopes are read where they stand, not copied."""
 
     def __init__(self, p: ca.MX, start: int, rows: Sequence[int]) -> None:
         self._p = p
@@ -258,25 +263,24 @@ class AxisExpressions:
         rotor's. ``slopes``: rate and acceleration with which the reference moves, rad/s and rad/s².
         """
         layout, s, fixed = self.layout, self.state, self.fixed
+        y = s.goal if layout.is_guided else reference
+        held = self._tables.at(self._holding, y) if layout.holds else _nothing()
         if not layout.is_guided:
-            return reference, self._tables.at(self._holding, reference) if layout.holds else ca.MX(
-                0
-            )
+            return reference, held
         f, T = fixed.reference_rate, fixed.step
-        y, rate, acceleration = s.goal, s.goal_rate, s.goal_acceleration
+        rate, acceleration = s.goal_rate, s.goal_acceleration
         jerk = f * (f * (reference - y) + 3 * (slopes[0] - rate))
         jerk = f * (jerk + 3 * (slopes[1] - acceleration))
-        forward = ca.MX(0.0)
+        forward = held
+        if layout.holds and layout.is_cut:
+            calm = held + fixed.c1 * rate + fixed.c2 * acceleration
+            least = held + _AT_LEAST * (fixed.least - held)
+            least = ca.fmin(_FOR_REFERENCE * fixed.least, least)
+            most = held + _AT_LEAST * (fixed.most - held)
+            most = ca.fmax(_FOR_REFERENCE * fixed.most, most)
+            jerk = ca.fmax(jerk, (least - calm) / fixed.c3)
+            jerk = ca.fmin(jerk, (most - calm) / fixed.c3)
         if layout.holds:
-            held = self._tables.at(self._holding, y)
-            if layout.is_cut:
-                calm = held + fixed.c1 * rate + fixed.c2 * acceleration
-                least = held + _AT_LEAST * (fixed.least - held)
-                least = ca.fmin(_FOR_REFERENCE * fixed.least, least)
-                most = held + _AT_LEAST * (fixed.most - held)
-                most = ca.fmax(_FOR_REFERENCE * fixed.most, most)
-                jerk = ca.fmax(jerk, (least - calm) / fixed.c3)
-                jerk = ca.fmin(jerk, (most - calm) / fixed.c3)
             forward = held + fixed.a1 * rate + fixed.a2 * acceleration + fixed.a3 * jerk
         for i, value in enumerate(self.remembered):
             rise, fall, torque = (self._memories + 3 * i + j for j in range(3))
@@ -299,7 +303,7 @@ class AxisExpressions:
 
     def from_others(self, others: Sequence[AxisExpressions]) -> ca.MX:
         """Torque that undoes what the torques fed forward to other axes do to this one, N m."""
-        torque = ca.MX(0.0)
+        torque = _nothing()
         for i, (other, strength) in enumerate(zip(others, self._coupling, strict=False)):
             torque += strength * other.state.forward_rate
             torque += self._tables.at(self._burdens + i, other.state.forward)
@@ -325,7 +329,7 @@ class AxisExpressions:
     ) -> ca.MX:
         """The input, V."""
         s, fixed = self.state, self.fixed
-        slopes = self.derivatives(reference) if follows_rates else (ca.MX(0.0), ca.MX(0.0))
+        slopes = self.derivatives(reference) if follows_rates else (_nothing(), _nothing())
         goal, forward = self.guided(reference, slopes)
         behind = angle - goal if self.layout.is_guided else angle
         s.derivative = fixed.keep * s.derivative - fixed.derivative_gain * (behind - s.last_error)
@@ -344,19 +348,22 @@ class AxisExpressions:
     def begin(self, angle: ca.MX, command: ca.MX, others: Sequence[AxisExpressions]) -> None:
         """Bumpless: if the reference were where the rig is, the command in force would go on."""
         s, fixed = self.state, self.fixed
-        for name in STATE:
-            setattr(s, name, ca.MX(0.0))
-        self.remembered = [ca.MX(0.0)] * self.layout.memories
-        s.goal = angle
-        forward = self.guided(angle, (ca.MX(0.0), ca.MX(0.0)))[1]
-        self.remembered = [ca.MX(0.0)] * self.layout.memories
-        s.goal, s.goal_rate, s.goal_acceleration = angle, ca.MX(0.0), ca.MX(0.0)
-        s.last_error = ca.MX(0.0) if self.layout.is_guided else angle
+        self._rest_at(angle)
+        forward = self.guided(angle, (_nothing(), _nothing()))[1]
+        self._rest_at(angle)  # which has moved the filter on
+        s.last_error = _nothing() if self.layout.is_guided else angle
         s.forward = s.forward_lag = forward
         s.lagged = command
         beside = self.from_others(others)
         s.integral = self.torque_of(command) - forward - beside
         s.integral -= fixed.kp * (fixed.weight - 1.0) * angle
+
+    def _rest_at(self, angle: ca.MX) -> None:
+        """Remember nothing but that the reference has been at an angle."""
+        for name in STATE:
+            setattr(self.state, name, _nothing())
+        self.state.goal = angle
+        self.remembered = [_nothing()] * self.layout.memories
 
 
 @lru_cache(maxsize=32)

@@ -545,8 +545,11 @@ class Loop:
         )
         self._tell_control(now_ns, words)
         if command.prediction is not None:
+            # Copies: it is written later, and a controller may plan in the same arrays again.
             p = command.prediction
-            self._tell_prediction(now_ns, (p.time, *p.states.T, *p.inputs.T))
+            plans = (p.time, p.states.T, p.inputs.T)
+            time, states, inputs = (np.array(plan, dtype=float) for plan in plans)
+            self._tell_prediction(now_ns, (time, *states, *inputs))
         if command.status is Status.FAILED:
             self.history.event(now_ns, "solver", "controller", command.message or "solve failed")
 
